@@ -1,0 +1,39 @@
+"""petscjam: the linear response of jammed packings at every frequency, on PETSc.
+
+Nothing heavy is imported until it is used.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_WHERE = {
+    "Box": "box",
+    "InputError": "errors",
+    "SolverError": "errors",
+    "Packing": "packing.packing",
+    "Certificate": "packing.packing",
+    "prepare_packing": "packing.prepare",
+    "certify": "packing.certify",
+    "import_packing": "io.importers",
+    "export_packing": "io.exporters",
+    "ContactNetwork": "network",
+    "ContactDamping": "damping",
+    "StokesDrag": "damping",
+    "ComplexModulus": "response.moduli",
+    "complex_modulus": "response.moduli",
+    "elastic_constants": "response.moduli",
+    "read_modulus": "io.results",
+    "read_moduli": "io.results",
+}
+
+__all__ = list(_WHERE)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'petscjam' has no attribute {name!r}")
+    return getattr(import_module(f"petscjam.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,122 @@
+"""Viscous force laws, each as data: what they rub on, how hard, and where.
+
+A law is an entry of :data:`LAWS`; the command line, the solver and every test of laws find it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import ClassVar
+
+import numpy as np
+
+from petscjam.errors import InputError
+from petscjam.kinematics import Form, StrainMode, contact_rows, whole_form
+from petscjam.network import ContactNetwork
+
+
+@dataclass(frozen=True)
+class DampingLaw:
+    """Friction coefficients, in units of kτ1, of the relative motions that a law resists.
+
+    Attributes
+    ----------
+    name : str
+    normal, tangential : float
+        On Δu∥ and Δu⊥ of each contact.
+    at_contact_point : bool
+        Whether Δu⊥ is taken where the disks touch (they roll) or at their centres.
+    body : float
+        On the motion of each disk against the affine flow.
+    fluid : float
+        Viscosity of the fluid between, which the strain itself has to overcome.
+    """
+
+    name: ClassVar[str]
+    normal: ClassVar[float] = 0.0
+    body: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {value}")
+
+    @property
+    def tangential(self) -> float:
+        """Coefficient of Δu⊥."""
+        return 0.0
+
+    @property
+    def at_contact_point(self) -> bool:
+        """Whether Δu⊥ is taken at the contact point."""
+        return False
+
+    @property
+    def fluid(self) -> float:
+        """Viscosity of the fluid."""
+        return 0.0
+
+    def __str__(self) -> str:
+        settings = ", ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
+        return f"{self.name} ({settings})"
+
+
+@dataclass(frozen=True)
+class ContactDamping(DampingLaw):
+    """Linear contact damping (BT eq. 5): kτ1 on Δu∥ and β kτ1 on Δu⊥.
+
+    Parameters
+    ----------
+    beta : float
+        Ratio β ≥ 0 of tangential to normal damping.
+    rotations : bool
+        Take Δu⊥ where the disks touch and let them roll, or at their centres.
+    """
+
+    beta: float = 1.0
+    rotations: bool = True
+    name: ClassVar[str] = "contact"
+    normal: ClassVar[float] = 1.0
+
+    @property
+    def tangential(self) -> float:
+        """β."""
+        return self.beta
+
+    @property
+    def at_contact_point(self) -> bool:
+        """Whether the disks roll."""
+        return self.rotations
+
+
+@dataclass(frozen=True)
+class StokesDrag(DampingLaw):
+    """Stokes or mean-field drag (BT eqs. 7–8): kτ1 on each disk's motion against the affine flow.
+
+    Parameters
+    ----------
+    eta_fluid : float
+        Viscosity ηF ≥ 0 of the fluid, in units of kτ1 (in two dimensions).
+    """
+
+    eta_fluid: float = 1.0
+    name: ClassVar[str] = "stokes"
+    body: ClassVar[float] = 1.0
+
+    @property
+    def fluid(self) -> float:
+        """ηF."""
+        return self.eta_fluid
+
+
+LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
+
+
+def viscous_form(network: ContactNetwork, strains: Sequence[StrainMode], law: DampingLaw) -> Form:
+    """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8)."""
+    rows = contact_rows(network, strains, at_contact_point=law.at_contact_point)
+    weights = np.tile([law.normal, law.tangential], (len(network), 1))
+    fluid = np.diag([law.fluid * network.area * mode.shears_fluid for mode in strains])
+    return whole_form(network, rows, weights, law.body, fluid)

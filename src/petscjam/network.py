@@ -1,0 +1,151 @@
+"""The contact network of a packing: who touches whom, how hard, and who bears no load.
+
+Axes: c contact, i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Array, Integers
+from petscjam.errors import InputError
+from petscjam.packing.packing import Packing
+
+
+@dataclass(frozen=True, eq=False)
+class ContactNetwork:
+    """Contacts c = (i, j), each with the vector r from i to (an image of) j.
+
+    Attributes
+    ----------
+    i, j : (C,) integers
+    r : (C, 2)
+    force : (C,)
+        Repulsive contact force f.
+    stiffness : (C,)
+        d²U/dr² of the contact.
+    radii : (N,)
+    area : float
+        Area V of the cell.
+    backbone : (N,) bool
+        Disks left when those with fewer than three contacts are removed again and again.
+    """
+
+    i: Integers
+    j: Integers
+    r: Array
+    force: Array
+    stiffness: Array
+    radii: Array
+    area: float
+    backbone: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, packing: Packing) -> ContactNetwork:
+        """Find the contacts of ``packing``, rattlers' contacts included.
+
+        Raises
+        ------
+        InputError
+            If two disks coincide.
+        """
+        radii = packing.radii
+        i, j, r = packing.box.pairs_within(packing.positions, 2 * radii.max())
+        sigma = radii[i] + radii[j]
+        distance = np.hypot(r[:, 0], r[:, 1])
+        touching = distance <= sigma
+        i, j, r, sigma, distance = (a[touching] for a in (i, j, r, sigma, distance))
+        if (distance == 0).any():
+            c = int(np.argmin(distance))
+            raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")
+        law = packing.potential
+        return cls(
+            i, j, r, law.force(distance, sigma), law.stiffness(distance, sigma),
+            radii, packing.box.area, _backbone(i, j, len(radii)),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    @property
+    def distance(self) -> Array:
+        """Centre-to-centre distance of each contact, (C,)."""
+        return np.hypot(self.r[:, 0], self.r[:, 1])
+
+    @property
+    def normal(self) -> Array:
+        """Unit vector n from i to j, (C, 2)."""
+        return self.r / self.distance[:, None]
+
+    @property
+    def rattlers(self) -> int:
+        """Number of disks that are not in the backbone."""
+        return int((~self.backbone).sum())
+
+    @property
+    def Z(self) -> float:
+        """Mean number of contacts of a backbone disk, contacts inside the backbone counted."""
+        inside = self.backbone[self.i] & self.backbone[self.j]
+        return float(2 * inside.sum() / max(self.backbone.sum(), 1))
+
+    @property
+    def stress(self) -> Array:
+        """Pressure tensor Σ f r⊗n / V, (2, 2), positive in compression."""
+        return np.einsum("c,cx,cy->xy", self.force / self.distance, self.r, self.r) / self.area
+
+    @property
+    def pressure(self) -> float:
+        """Half the trace of the pressure tensor."""
+        return float(np.trace(self.stress) / 2)
+
+    @property
+    def residual_force(self) -> Array:
+        """Net elastic force on each disk, (N, 2)."""
+        pull = self.force[:, None] * self.normal
+        net = np.zeros((len(self.radii), 2))
+        np.add.at(net, self.j, pull)
+        np.add.at(net, self.i, -pull)
+        return net
+
+    def without_rattlers(self) -> ContactNetwork:
+        """Keep only the contacts inside the backbone.
+
+        Raises
+        ------
+        InputError
+            If no contact is left, or the backbone falls apart into pieces.
+        """
+        inside = self.backbone[self.i] & self.backbone[self.j]
+        kept = replace(
+            self, **{name: getattr(self, name)[inside] for name in ("i", "j", "r", "force", "stiffness")}
+        )
+        if len(kept) == 0:
+            raise InputError(
+                f"network: no contacts are left once rattlers are removed (the packing has {len(self)}); "
+                "it is not jammed"
+            )
+        pieces = kept._pieces()
+        if pieces > 1:
+            raise InputError(f"network: the backbone falls apart into {pieces} pieces; it is not jammed")
+        return kept
+
+    def _pieces(self) -> int:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        n = len(self.radii)
+        graph = coo_matrix((np.ones(len(self)), (self.i, self.j)), shape=(n, n))
+        return int(connected_components(graph, directed=False)[0] - self.rattlers)
+
+
+def _backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:
+    alive = np.ones(n, dtype=bool)
+    while True:
+        inside = alive[i] & alive[j]
+        contacts = np.bincount(i[inside], minlength=n) + np.bincount(j[inside], minlength=n)
+        if (contacts[alive] >= 3).all():
+            return alive
+        alive &= contacts >= 3

@@ -1,0 +1,1 @@
+"""Packings: what one is, how it is prepared, how it is judged."""

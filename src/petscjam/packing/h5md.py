@@ -1,0 +1,124 @@
+"""Packings as H5MD 1.1 files (nongnu.org/h5md) that other programs open, too.
+
+H5MD allows two dimensions, but readers such as MDAnalysis insist on three. So positions get z = 0, and
+the cell a third edge, one largest diameter long, along an axis that is not periodic (there the standard
+calls the edge a placeholder). The one group of particles is called "trajectory" because that is where
+MDAnalysis looks for the number of particles. What H5MD has no place for is in /parameters/petscjam.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from petscjam.box import Box
+from petscjam.errors import InputError
+from petscjam.packing.packing import Certificate, Packing
+from petscjam.storage import atomic_h5, open_h5, refuse_existing
+
+if TYPE_CHECKING:
+    import h5py
+
+SCHEMA = (1, 0)  # a new major number: older programs cannot read the file
+PARTICLES, OURS = "particles/trajectory", "parameters/petscjam"
+REQUIRED = (
+    OURS,
+    f"{OURS}/provenance",
+    f"{PARTICLES}/position/value",
+    f"{PARTICLES}/radius",
+    f"{PARTICLES}/box/edges/value",
+)
+UNITS = "lengths as in the source (nothing is rescaled); the potential fixes the unit of energy"
+
+
+def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) -> None:
+    """Write ``packing`` to ``path``, wholly or not at all.
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists and ``overwrite`` is not set, or cannot be written.
+    """
+    refuse_existing(path, overwrite)
+    edges = np.diag([0.0, 0.0, 2 * packing.radii.max()])
+    edges[:2, :2] = packing.box.cell
+    with atomic_h5(path) as file:
+        _write_header(file)
+        particles = file.create_group(PARTICLES)
+        position = particles.create_group("position")
+        position["step"], position["time"] = np.zeros(1, dtype=int), np.zeros(1)
+        position["value"] = np.pad(packing.positions, ((0, 0), (0, 1)))[None]
+        particles["radius"] = packing.radii
+        particles["species"] = np.unique(packing.radii, return_inverse=True)[1]
+        box = particles.create_group("box")
+        box.attrs.update(dimension=3, boundary=np.array([b"periodic", b"periodic", b"none"]))
+        box["edges/value"] = edges[None]
+        for name in ("step", "time"):  # hard links, as the standard demands
+            box[f"edges/{name}"] = position[name]
+        ours = file.create_group(OURS)
+        ours.attrs.update(
+            schema=SCHEMA, potential=packing.potential_name, checksum=packing.checksum, units=UNITS
+        )
+        ours["provenance"] = json.dumps(dict(packing.provenance), default=lambda value: value.tolist())
+        if packing.certificate:
+            known = {k: v for k, v in asdict(packing.certificate).items() if v is not None}
+            ours.create_group("certificate").attrs.update(known)
+
+
+def read(path: str | PathLike[str]) -> Packing:
+    """Read a packing written by :func:`write`: the same bits.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not such a file, is damaged (the checksum is verified), or holds no
+        valid packing.
+    """
+    with open_h5(path) as file:
+        missing = [name for name in REQUIRED if name not in file]
+        if missing:
+            raise InputError(f"HDF5, but not a packing of petscjam: it lacks /{', /'.join(missing)}")
+        ours, particles = file[OURS], file[PARTICLES]
+        missing = [name for name in ("schema", "potential", "checksum") if name not in ours.attrs]
+        if missing:
+            raise InputError(f"not a packing of petscjam: /{OURS} lacks the attribute {', '.join(missing)}")
+        if ours.attrs["schema"][0] > SCHEMA[0]:
+            raise InputError(
+                f"schema {ours.attrs['schema'][0]} is newer than this petscjam, which reads {SCHEMA[0]}; upgrade"
+            )
+        packing = Packing(
+            positions=particles["position/value"][0, :, :2],
+            radii=particles["radius"][()],
+            box=Box(particles["box/edges/value"][0, :2, :2]),
+            potential_name=ours.attrs["potential"],
+            certificate=_read_certificate(ours),
+            provenance=json.loads(ours["provenance"][()]),
+        )
+        if packing.checksum != ours.attrs["checksum"]:
+            raise InputError(
+                f"the checksum is {packing.checksum} but {ours.attrs['checksum']} was recorded; "
+                "the file was changed or damaged"
+            )
+    return packing
+
+
+def _write_header(file: h5py.File) -> None:
+    try:
+        release = version("petscjam")
+    except PackageNotFoundError:  # run from a source tree
+        release = "unknown"
+    header = file.create_group("h5md")
+    header.attrs["version"] = (1, 1)
+    header.create_group("author").attrs["name"] = "unknown"
+    header.create_group("creator").attrs.update(name="petscjam", version=release)
+
+
+def _read_certificate(ours: h5py.Group) -> Certificate | None:
+    if "certificate" not in ours:
+        return None
+    return Certificate(**{name: value.item() for name, value in ours["certificate"].attrs.items()})

@@ -1,0 +1,141 @@
+"""A packing: disks in a periodic cell, and what is known about how good it is.
+
+Axes: i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Box, frozen
+from petscjam.errors import InputError
+from petscjam.potential import Potential, potential
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was measured on a packing. ``None`` stands for "not measured".
+
+    Attributes
+    ----------
+    max_force : float
+        Largest residual force on a disk, relative to p·d (p pressure, d mean diameter).
+    pressure_error : float
+        |p − target| / target; ``None`` when no target is known.
+    rattlers : int
+        Disks with fewer than three contacts, removed again and again until none is left.
+    Z : float
+        Mean number of contacts of a disk of the backbone.
+    pressure : float
+        Σ f·r / (2V), in units of the file.
+    negative_modes : int
+        Number of negative eigenvalues of K with pre-stress on the pinned backbone.
+    lowest_eigenvalue : float
+        The lowest eigenvalue of the same K, translations left out.
+    proved : bool
+        Whether this is a proved minimum; ``None`` until judged.
+    """
+
+    max_force: float
+    rattlers: int
+    Z: float
+    pressure: float
+    pressure_error: float | None = None
+    negative_modes: int | None = None
+    lowest_eigenvalue: float | None = None
+    proved: bool | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Packing:
+    """Disks in a periodic cell. Nothing is rescaled: units are those of the source.
+
+    Parameters
+    ----------
+    positions : array_like, shape (N, 2)
+        Any periodic image will do.
+    radii : array_like, shape (N,)
+    box : Box
+    potential_name : str
+        A name from :data:`petscjam.potential.POTENTIALS`.
+    certificate : Certificate or None
+    provenance : mapping
+        Versions, parameters, seed: plain strings and numbers.
+
+    Raises
+    ------
+    InputError
+        On wrong shapes, positions that are not finite, or a radius that is not positive.
+    """
+
+    positions: Array
+    radii: Array
+    box: Box
+    potential_name: str = "harmonic"
+    certificate: Certificate | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        positions, radii = frozen(self.positions), frozen(self.radii)
+        if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) == 0:
+            raise InputError(f"packing: positions must have shape (N, 2), not {positions.shape}")
+        if radii.shape != (len(positions),):
+            raise InputError(f"packing: {len(positions)} positions but radii of shape {radii.shape}")
+        for name, values, bad in (
+            ("position", positions, ~np.isfinite(positions).all(1)),
+            ("radius", radii, ~((radii > 0) & np.isfinite(radii))),
+        ):
+            if bad.any():
+                i = int(np.argmax(bad))
+                raise InputError(f"packing: the {name} of disk {i} is {values[i]}")
+        potential(self.potential_name)
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "radii", radii)
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+    @property
+    def potential(self) -> Potential:
+        """The contact potential the packing was made with."""
+        return potential(self.potential_name)
+
+    @property
+    def phi(self) -> float:
+        """Packing fraction Σ π ρ² / V, rattlers included."""
+        return float(np.pi * (self.radii**2).sum() / self.box.area)
+
+    @property
+    def mean_diameter(self) -> float:
+        """Mean diameter d."""
+        return float(2 * self.radii.mean())
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of positions, radii, cell and potential (first 16 hex digits)."""
+        digest = sha256(self.potential_name.encode())
+        for array in (self.positions, self.radii, self.box.cell):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return digest.hexdigest()[:16]
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> Packing:
+        """Read a packing that :meth:`write` wrote (H5MD)."""
+        from petscjam.packing.h5md import read
+
+        return read(path)
+
+    def write(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the packing as H5MD; an existing file is refused unless ``overwrite``."""
+        from petscjam.packing.h5md import write
+
+        write(self, path, overwrite=overwrite)

@@ -1,0 +1,1 @@
+"""PETSc's lifetime, communicators, and errors that must reach every rank."""

@@ -1,0 +1,84 @@
+"""The one place where PETSc starts, and where a PETSc that cannot serve is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from petscjam.errors import InputError
+
+ADVICE = (
+    "on Debian install python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc "
+    "configured with --with-scalar-type=complex --download-mumps (docs: Installing)"
+)
+_options: list[str] = []
+
+
+def set_options(options: Sequence[str]) -> None:
+    """Hand PETSc the options given after ``--``; before the first solve."""
+    _options[:] = options
+
+
+@cache
+def petsc() -> ModuleType:
+    """Return ``petsc4py.PETSc``, started.
+
+    Raises
+    ------
+    InputError
+        If petsc4py is missing, has real scalars, or lacks MUMPS: one sentence that says how to get it.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # ranks are the threads; read when BLAS is loaded
+    try:
+        import petsc4py
+
+        petsc4py.init(["petscjam", *_options])
+        from petsc4py import PETSc
+    except ImportError as error:
+        raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None
+    check(PETSc)
+    return PETSc
+
+
+def check(PETSc: Any) -> None:
+    """Refuse a PETSc with real scalars or without MUMPS."""
+    import numpy as np
+
+    version = ".".join(map(str, PETSc.Sys.getVersion()))
+    if not np.issubdtype(PETSc.ScalarType, np.complexfloating):
+        raise InputError(f"petscjam needs a complex PETSc, and this one ({version}) has real scalars: {ADVICE}")
+    if not PETSc.Sys.hasExternalPackage("mumps"):
+        raise InputError(f"petscjam needs MUMPS, and this PETSc ({version}) was built without it: {ADVICE}")
+
+
+@cache
+def slepc() -> ModuleType:
+    """Return ``slepc4py.SLEPc``, started.
+
+    Raises
+    ------
+    InputError
+        If SLEPc, or a PETSc that can serve it, is missing.
+    """
+    petsc()
+    try:
+        from slepc4py import SLEPc
+    except ImportError as error:
+        raise InputError(f"petscjam needs slepc4py for eigenmodes ({error}): {ADVICE}") from None
+    return SLEPc
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Name a stretch of work in PETSc's ``-log_view``."""
+    log = petsc().Log.Stage(f"petscjam: {name}")
+    log.push()
+    try:
+        yield
+    finally:
+        log.pop()

@@ -1,0 +1,139 @@
+"""The slow twin: contacts, K, B and G* by plain loops and dense algebra.
+
+Written apart from the fast code, for tests and to be read beside the paper. Nothing here is imported
+by the solver. Degrees of freedom: u of every disk (2N), θ of every disk (N), the strain γ last.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Contact(NamedTuple):
+    """Disks i and j, and the vector (rx, ry) from i to the image of j that it touches."""
+
+    i: int
+    j: int
+    rx: float
+    ry: float
+    force: float
+    stiffness: float
+
+
+def contacts(positions, radii, cell, relative=False, images=3):
+    """Return every contact, by trying all pairs and all images.
+
+    ``relative`` picks U = ½(1 − r/σ)² instead of U = ½(σ − r)².
+    """
+    found = []
+    for i in range(len(radii)):
+        for j in range(i, len(radii)):
+            for a in range(-images, images + 1):
+                for b in range(-images, images + 1):
+                    if i == j and (a, b) <= (0, 0):
+                        continue  # an image of itself counts once
+                    rx = positions[j][0] - positions[i][0] + a * cell[0][0] + b * cell[1][0]
+                    ry = positions[j][1] - positions[i][1] + a * cell[0][1] + b * cell[1][1]
+                    sigma = radii[i] + radii[j]
+                    r = (rx * rx + ry * ry) ** 0.5
+                    if r <= sigma:
+                        k = 1 / sigma**2 if relative else 1.0
+                        found.append(Contact(i, j, rx, ry, k * (sigma - r), k))
+    return found
+
+
+def without_rattlers(found, n):
+    """Drop, again and again, the contacts of disks that have fewer than three."""
+    while True:
+        count = [0] * n
+        for c in found:
+            count[c.i] += 1
+            count[c.j] += 1
+        kept = [c for c in found if count[c.i] >= 3 and count[c.j] >= 3]
+        if len(kept) == len(found):
+            return kept
+        found = kept
+
+
+def affine(strain, rx, ry):
+    """Return F′r for a strain mode."""
+    return {
+        "simple-shear": (ry, 0.0),
+        "pure-shear": (rx / 2, -ry / 2),
+        "compression": (rx, ry),
+    }[strain]
+
+
+def rows(c, radii, strain, arms):
+    """Return the rows of Δu∥ and Δu⊥ over all 3N + 1 degrees of freedom; ``arms`` = 1: where they touch."""
+    n = len(radii)
+    r = (c.rx**2 + c.ry**2) ** 0.5
+    nx, ny = c.rx / r, c.ry / r
+    ax, ay = affine(strain, c.rx, c.ry)
+    parallel, transverse = np.zeros(3 * n + 1), np.zeros(3 * n + 1)
+    for sign, disk in ((-1, c.i), (1, c.j)):
+        parallel[2 * disk] += sign * nx
+        parallel[2 * disk + 1] += sign * ny
+        transverse[2 * disk] += sign * -ny
+        transverse[2 * disk + 1] += sign * nx
+        transverse[2 * n + disk] -= arms * radii[disk]
+    parallel[-1] = nx * ax + ny * ay
+    transverse[-1] = -ny * ax + nx * ay
+    return parallel, transverse
+
+
+def hessian(found, radii, strain="simple-shear", prestress=True):
+    """Return K, (3N + 1, 3N + 1): BT eqs. 4 and 11, with the curvature of F where F is not linear."""
+    K = np.zeros((3 * len(radii) + 1,) * 2)
+    for c in found:
+        parallel, transverse = rows(c, radii, strain, arms=0)
+        K += c.stiffness * np.outer(parallel, parallel)
+        if prestress:
+            r = (c.rx**2 + c.ry**2) ** 0.5
+            K -= c.force / r * np.outer(transverse, transverse)
+            if strain == "pure-shear":
+                K[-1, -1] -= c.force * r / 4
+    return K
+
+
+def contact_damping(found, radii, beta, rotations=True, strain="simple-shear"):
+    """Return B of BT eq. 6, (3N + 1, 3N + 1)."""
+    B = np.zeros((3 * len(radii) + 1,) * 2)
+    for c in found:
+        parallel, transverse = rows(c, radii, strain, arms=int(rotations))
+        B += np.outer(parallel, parallel) + beta * np.outer(transverse, transverse)
+    return B
+
+
+def stokes_drag(n, area, eta_fluid, strain="simple-shear"):
+    """Return B of BT eq. 8 in terms of the non-affine displacement, (3N + 1, 3N + 1)."""
+    B = np.diag([1.0] * 2 * n + [0.0] * n + [0.0])
+    if strain != "compression":
+        B[-1, -1] = eta_fluid * area
+    return B
+
+
+def modulus(K, B, omega, area):
+    """Return G*(ω): solve (K + iωB) Q = e_γ (BT eq. 12) in the least-squares sense, G*V = 1/Q_γ.
+
+    Free motions (translations, rotations that nothing resists) drop out of the least-squares solution.
+    """
+    A = K + 1j * omega * B
+    scale = 1 / np.sqrt(np.abs(np.diag(A)) + (np.diag(A) == 0))
+    forcing = np.zeros(len(A))
+    forcing[-1] = scale[-1]
+    Q = scale * np.linalg.lstsq(scale[:, None] * A * scale, forcing, rcond=1e-13)[0]
+    return 1 / (Q[-1] * area)
+
+
+def stokes_modal_sum(K, omega, area, eta_fluid):
+    """Return G*(ω) under Stokes drag from the modes of K_uu, by hand:
+
+    G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω)) + iω ηF.
+    """
+    n2 = 2 * (len(K) - 1) // 3
+    values, vectors = np.linalg.eigh(K[:n2, :n2])
+    overlap = vectors.T @ K[:n2, -1]
+    return (K[-1, -1] - np.sum(overlap**2 / (values + 1j * omega))) / area + 1j * omega * eta_fluid

@@ -1,0 +1,1 @@
+"""Linear response: distributed K and B, one solver, sweeps over frequency, moduli."""

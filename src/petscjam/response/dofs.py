@@ -1,0 +1,151 @@
+"""Which degrees of freedom are unknowns, who owns them, and which must be held.
+
+Axes: i disk, d degree of freedom of a disk (ux, uy, θ).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Integers
+from petscjam.kinematics import Field, Form
+from petscjam.network import ContactNetwork
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import total
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Ownership:
+    """Strips of the cell dealt to ranks, in order; every rank knows the whole deal.
+
+    Attributes
+    ----------
+    order : (N,)
+        Disks, by strip.
+    owner : (N,)
+        The rank of each disk.
+    """
+
+    order: Integers
+    owner: Integers
+
+    @classmethod
+    def of(cls, packing: Packing, ranks: int) -> Ownership:
+        """Deal the disks of ``packing`` to ``ranks`` in equal strips along its second lattice vector."""
+        order = np.argsort(packing.box.fractional(packing.positions)[:, 1] % 1.0, kind="stable")
+        owner = np.empty(len(packing), dtype=np.int64)
+        for rank, disks in enumerate(np.array_split(order, ranks)):
+            owner[disks] = rank
+        return cls(order, owner)
+
+
+@dataclass(frozen=True, eq=False)
+class Dofs:
+    """A numbering of unknowns: those of a disk together, those of a rank together.
+
+    Attributes
+    ----------
+    index : (N, 3)
+        Number of each degree of freedom; −1 where it is not an unknown.
+    counts : (ranks,)
+        Unknowns of each rank.
+    """
+
+    index: Integers
+    counts: Integers
+
+    @classmethod
+    def number(cls, active: Mask, ownership: Ownership, ranks: int) -> Dofs:
+        """Number the ``active`` (N, 3) degrees of freedom."""
+        index = np.full(active.shape, -1, dtype=np.int64)
+        ordered = active[ownership.order]
+        numbers = np.full(active.shape, -1, dtype=np.int64)
+        numbers[ordered] = np.arange(ordered.sum())
+        index[ownership.order] = numbers
+        counts = np.bincount(ownership.owner, weights=active.sum(1), minlength=ranks)
+        return cls(index, counts.astype(np.int64))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return int(self.counts.sum())
+
+    def rows_of(self, rank: int) -> tuple[int, int]:
+        """First and one past the last row of ``rank``."""
+        ends = np.cumsum(self.counts)
+        return int(ends[rank] - self.counts[rank]), int(ends[rank])
+
+    def scatter(self, field: Field, rank: int) -> NDArray:
+        """Return this rank's unknowns out of ``field`` (N, 3)."""
+        start, stop = self.rows_of(rank)
+        mine = (self.index >= start) & (self.index < stop)
+        values = np.empty(stop - start, dtype=complex)
+        values[self.index[mine] - start] = field[mine]
+        return values
+
+    def gather(self, local: NDArray, comm: Any) -> Field:
+        """Return the field (N, 3), on every rank, from each rank's unknowns; zero elsewhere."""
+        values = np.empty(self.size, dtype=complex)
+        comm.Allgatherv(np.ascontiguousarray(local, dtype=complex), (values, self.counts))
+        field = np.zeros(self.index.shape, dtype=complex)
+        field[self.index >= 0] = values[self.index[self.index >= 0]]
+        return field
+
+
+def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Any) -> Mask:
+    """Return the (N, 3) degrees of freedom to solve for: those felt by K or B, less those held.
+
+    What neither K nor B feels is left out: B is positive semi-definite, so a zero on its diagonal is
+    a zero row (θ without rolling or at β = 0, rattlers without contacts). A joint motion that K
+    ignores and B does not see either leaves K + iωB singular, and one degree of freedom of it is held.
+    """
+    stiffness, friction = total(comm, K.diagonal()), total(comm, B.diagonal())
+    active = (stiffness > 0) | (friction > 0)
+    anchor = int(np.argmax(network.backbone))
+    for motion in free_motions(network):
+        if not sees(B, motion * active, comm):
+            active[anchor, np.argmax(np.abs(motion[anchor]))] = False
+    return active
+
+
+def free_motions(network: ContactNetwork) -> list[Field]:
+    """Return the joint motions (N, 3) that K ignores: two translations, and the gears' rotation.
+
+    Disks of alternating sense, θ = ±1/ρ, roll on each other without sliding if no cycle of
+    contacts is odd; if one is, what is returned slides there, and B sees it.
+    """
+    n = len(network.radii)
+    motions = [np.tile(direction, (n, 1)) for direction in np.eye(3)[:2]]
+    gears = np.zeros((n, 3))
+    gears[:, 2] = _alternating(network) / network.radii
+    return [*motions, gears]
+
+
+def sees(B: Form, motion: Field, comm: Any) -> bool:
+    """Tell whether B resists ``motion``, beyond rounding."""
+    still = np.zeros(B.strain_rows.shape[2])
+    dissipated = total(comm, B.product((motion, still), (motion, still))).real
+    separately = np.sum(total(comm, B.diagonal()) * np.abs(motion) ** 2)
+    return bool(dissipated > 1e-20 * separately)
+
+
+def _alternating(network: ContactNetwork) -> NDArray[np.float64]:
+    """Return ±1 by the parity of the distance to the first backbone disk, 0 where not connected."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n = len(network.radii)
+    graph = coo_matrix((np.ones(len(network)), (network.i, network.j)), shape=(n, n))
+    start = int(np.argmax(network.backbone))
+    order, parent = breadth_first_order(graph.tocsr(), start, directed=False)
+    sign = np.zeros(n)
+    sign[start] = 1.0
+    for disk in order[1:]:
+        sign[disk] = -sign[parent[disk]]
+    return sign

@@ -1,0 +1,129 @@
+"""The exact limits of the response, each solved for.
+
+ω → 0: u relaxes the energy on the backbone; what costs no energy (θ, a rattler, the mean translation)
+then minimises the dissipation. ω → ∞: u minimises the dissipation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.errors import SolverError
+from petscjam.kinematics import Field
+from petscjam.parallel.comm import total
+from petscjam.response.dofs import free_motions, sees
+from petscjam.response.matrices import assembled
+from petscjam.response.problem import LinearProblem, Motion
+from petscjam.response.solver import direct_solver
+
+LARGEST_RESIDUAL = 1e-8
+SOFT = 1e-9  # weight of friction against stiffness where both hold a degree of freedom
+
+
+class Limit(NamedTuple):
+    """Storage modulus and viscosity at one end of the spectrum, with the residual of the solve."""
+
+    G: float
+    eta: float
+    residual: float
+
+
+def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
+    """Return the displacements (S, N, 3) that relax the energy at unit strain, and the worst residual.
+
+    Raises
+    ------
+    SolverError
+        If K is singular on the pinned backbone.
+    """
+    dofs = problem.number(problem.pinned_backbone)
+    fields, worst = [], 0.0
+    with (
+        assembled(problem.K_backbone, problem.B_backbone, dofs, problem.comm) as pencil,
+        direct_solver(problem.comm) as solver,
+    ):
+        solver.factor(pencil.combine(1, 0))
+        for forcing in pencil.k.T:
+            x, residual = solver.solve(-forcing)
+            fields.append(dofs.gather(x, problem.comm))
+            worst = max(worst, residual)
+    _demand(worst, "K is singular on the backbone (floppy motions)")
+    return np.array(fields), worst
+
+
+def zero_frequency(problem: LinearProblem) -> Limit:
+    """Return G0, η0 for the first strain mode (PHYSICS: Limits)."""
+    fields, residual = quasistatic(problem)
+    still: Motion = (fields[0], _unit(problem))
+    G0 = problem.product(problem.K_backbone, still, still).real
+    moving, slack = _relax_dissipation(problem, still)
+    eta = problem.product(problem.B, moving, moving).real
+    return Limit(problem.modulus(G0).real, problem.viscosity(eta), max(residual, slack))
+
+
+def infinite_frequency(problem: LinearProblem) -> Limit:
+    """Return G∞, η∞: the Schur complement of B, not B_γγ."""
+    dofs = problem.number(problem.active)
+    with (
+        assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
+        direct_solver(problem.comm) as solver,
+    ):
+        solver.factor(pencil.combine(0, 1))
+        x, residual = solver.solve(-pencil.b[:, 0])
+        motion: Motion = (dofs.gather(x, problem.comm), _unit(problem))
+    _demand(residual, "B is singular (motions without friction)")
+    G = problem.product(problem.K, motion, motion).real
+    eta = problem.product(problem.B, motion, motion).real
+    return Limit(problem.modulus(G).real, problem.viscosity(eta), residual)
+
+
+def _relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
+    """Let what costs no energy follow ``motion`` with the least dissipation."""
+    q, s = motion
+    translations = [e for e in free_motions(problem.network)[:2] if sees(problem.B, e, problem.comm)]
+    follow = problem.active.copy()
+    follow[problem.backbone.backbone, :2] = False
+    starts: list[Motion] = [(q, s)]
+    starts += [(e * problem.backbone.backbone[:, None] + 0j, np.zeros_like(s)) for e in translations]
+    motions, residual = _follow(problem, follow, starts) if follow.any() else (starts, 0.0)
+    (q, s), shifts = motions[0], motions[1:]
+    if shifts:
+        normal = [[problem.product(problem.B, a, b) for b in shifts] for a in shifts]
+        drive = [problem.product(problem.B, a, (q, s)) for a in shifts]
+        for amount, (shift, _) in zip(np.linalg.solve(normal, drive), shifts, strict=True):
+            q = q - amount * shift
+    return (q, s), residual
+
+
+def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tuple[list[Motion], float]:
+    """Solve for the degrees of freedom ``follow`` of each motion, the others given.
+
+    A rattler that touches its neighbours first avoids energy, then friction: K + SOFT·B. Where there is
+    no stiffness at all, SOFT drops out.
+    """
+    dofs = problem.number(follow)
+    done, worst = [], 0.0
+    with (
+        assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
+        direct_solver(problem.comm) as solver,
+    ):
+        solver.factor(pencil.combine(1, SOFT))
+        for q, s in starts:
+            pull: Field = total(problem.comm, problem.K.apply(q, s) + SOFT * problem.B.apply(q, s))
+            x, residual = solver.solve(-dofs.scatter(pull, problem.comm.rank))
+            done.append((q + dofs.gather(x, problem.comm), s))
+            worst = max(worst, residual)
+    _demand(worst, "B is singular on what K leaves free")
+    return done, worst
+
+
+def _unit(problem: LinearProblem) -> NDArray:
+    return np.eye(len(problem.strains))[0]
+
+
+def _demand(residual: float, reason: str) -> None:
+    if not residual < LARGEST_RESIDUAL:
+        raise SolverError(f"{reason}: residual {residual:.1e}")

@@ -1,0 +1,242 @@
+"""The complex modulus G*(ω) by one factorisation a frequency, with its exact limits.
+
+Axes: w frequency, i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.box import Array
+from petscjam.damping import ContactDamping, DampingLaw
+from petscjam.errors import InputError, SolverError
+from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
+from petscjam.network import ContactNetwork
+from petscjam.packing.certify import negative_modes
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import on_root, resolve
+from petscjam.response.limits import Limit, infinite_frequency, quasistatic, zero_frequency
+from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.problem import LinearProblem
+from petscjam.response.solver import DirectSolver, direct_solver
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class ComplexModulus:
+    """G*(ω) = G′ + iG″ of one packing. Units: stress k (BT) or ke/d² (VOT), time τ1.
+
+    Attributes
+    ----------
+    omega : (W,)
+        Angular frequencies, 1/τ1.
+    values : (W,) complex
+        G′ = Q†KQ/V and G″ = ωQ†BQ/V, per unit strain.
+    residuals : (W,)
+        ‖(K + iωB)q − f‖/‖f‖ of each solve.
+    power_balance : (W,)
+        |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V|: zero for an exact solution.
+    G0, eta0 : float
+        ω → 0: G′ and G″/ω; NaN where a note says why.
+    G_inf, eta_inf : float
+        ω → ∞: G′ and G″/ω.
+    limit_residuals : (2,)
+        Residuals of the solves for the two limits.
+    negative_modes : int
+        Negative eigenvalues of K on the pinned backbone.
+    strain, damping : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+        What could not be had, and why.
+    field_omega : (F,)
+        Frequencies whose displacements are kept.
+    fields : (F, N, 2) complex
+        Non-affine displacement per unit strain.
+    geometry : Packing or None
+        The packing, kept with the fields.
+    performance : dict
+        Factorisations, MUMPS and peak memory (MB) of each rank.
+    """
+
+    omega: Array
+    values: NDArray[np.complex128]
+    residuals: Array
+    power_balance: Array
+    G0: float
+    eta0: float
+    G_inf: float
+    eta_inf: float
+    limit_residuals: Array
+    negative_modes: int
+    strain: str
+    damping: str
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    field_omega: Array = field(default_factory=lambda: np.empty(0))
+    fields: NDArray[np.complex128] = field(default_factory=lambda: np.empty((0, 0, 2), complex))
+    geometry: Packing | None = None
+    performance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def stable(self) -> bool:
+        """Whether G0 > 0 and K has no negative mode."""
+        return bool(self.G0 > 0 and self.negative_modes == 0)
+
+
+def complex_modulus(
+    packing: Packing,
+    omegas: ArrayLike,
+    *,
+    damping: DampingLaw | None = None,
+    strain: str = "simple-shear",
+    prestress: bool = True,
+    comm: Any = None,
+    fields_at: ArrayLike = (),
+    name: str = "packing",
+    progress: Progress | None = None,
+) -> ComplexModulus:
+    """Solve (K + iωB)q = f at each frequency (BT eqs. 10–13) and for both limits.
+
+    Parameters
+    ----------
+    packing : Packing
+    omegas : (W,) array_like
+        Angular frequencies in 1/τ1, all > 0.
+    damping : DampingLaw
+        Left out: :class:`ContactDamping` with β = 1 and rotations.
+    strain : str
+        ``simple-shear``, ``pure-shear`` or ``compression`` (the complex bulk modulus).
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    comm : MPI communicator
+        Left out: COMM_SELF. Results are the same arrays on every rank.
+    fields_at : array_like
+        Frequencies of the sweep whose displacement fields are kept.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Raises
+    ------
+    InputError
+        On a frequency that is not > 0, an unknown strain, a packing without a connected backbone.
+    SolverError
+        If a solve fails or its residual is not small.
+    """
+    comm = resolve(comm)
+    omega = frequencies(omegas)
+    kept = frequencies(fields_at, empty=True)
+    if not np.isin(kept, omega).all():
+        raise InputError(f"fields: {kept[~np.isin(kept, omega)].tolist()} are not frequencies of the sweep")
+    law = ContactDamping() if damping is None else damping
+    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm)
+    values = np.empty(len(omega), dtype=complex)
+    residuals, balance = np.empty(len(omega)), np.empty(len(omega))
+    fields = np.empty((len(kept), len(packing), 2), dtype=complex)
+    dofs = problem.number(problem.active)
+    with (
+        assembled(problem.K, problem.B, dofs, comm) as pencil,
+        direct_solver(comm) as solver,
+    ):
+        for w, frequency in enumerate(omega):
+            q, residuals[w], coupling = _solve(problem, pencil, solver, frequency)
+            values[w], balance[w] = _moduli(problem, q, frequency, coupling)
+            fields[kept == frequency] = q[:, :2]
+            if progress:
+                progress((w + 1) / len(omega), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
+        memory = solver.memory if len(omega) else 0.0
+        factorisations = solver.factorisations
+    notes: list[str] = []
+    low = _limit(zero_frequency, problem, notes, "G0 and η0")
+    high = _limit(infinite_frequency, problem, notes, "G∞ and η∞")
+    return ComplexModulus(
+        omega, values, residuals, balance,
+        low.G, low.eta, high.G, high.eta, np.array([low.residual, high.residual]),
+        on_root(comm, lambda: negative_modes(problem.backbone, prestress=prestress)),
+        strain, str(law), prestress, describe(packing, problem.backbone, name), tuple(notes),
+        kept, fields, packing if len(kept) else None,
+        {"factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
+         "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)},
+    )  # fmt: skip
+
+
+def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = None) -> Array:
+    """Return the elastic constants (3, 3) over (xx, yy, xy): C_abcd = ∂²U/∂ε_ab∂ε_cd / V, relaxed.
+
+    They are second derivatives with respect to the symmetric linear strain F = 1 + ε, so with
+    pre-stress C_xyxy exceeds the simple-shear modulus by (3p_yy − p_xx)/4.
+
+    Raises
+    ------
+    SolverError
+        If K is singular on the backbone.
+    """
+    # which law is immaterial: only K enters
+    problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, resolve(comm))
+    fields, _ = quasistatic(problem)
+    motions = list(zip(fields, np.eye(3), strict=True))
+    C = [[problem.product(problem.K_backbone, a, b).real for b in motions] for a in motions]
+    return np.array(C) / packing.box.area
+
+
+def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
+    """Return ``omegas`` as an array, or refuse an empty one and any that is not > 0 and finite."""
+    omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
+    if omega.size == 0 and not empty:
+        raise InputError("omega: the range is empty")
+    bad = ~(np.isfinite(omega) & (omega > 0))
+    if bad.any():
+        raise InputError(f"omega: frequencies must be > 0 and finite, not {omega[np.argmax(bad)]:g}")
+    return omega
+
+
+def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, Any]:
+    """Return what identifies ``packing`` in a result."""
+    return {
+        "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
+        "pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
+        "potential": packing.potential_name,
+    }  # fmt: skip
+
+
+def _solve(
+    problem: LinearProblem, pencil: Pencil, solver: DirectSolver, omega: float
+) -> tuple[Field, float, complex]:
+    """Return q, its residual, and A_γu·q."""
+    solver.factor(pencil.combine(1, 1j * omega))
+    forcing = (pencil.k + 1j * omega * pencil.b)[:, 0]
+    x, residual = solver.solve(-forcing)
+    if not residual < 1e-6:
+        raise SolverError(f"the solve at ω = {omega:g} has residual {residual:.1e}; it cannot be trusted")
+    return pencil.dofs.gather(x, problem.comm), residual, problem.comm.allreduce(complex(forcing @ x))
+
+
+def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -> tuple[complex, float]:
+    """Return G* from the power balance, and by how much the Schur complement differs from it."""
+    motion = (q, [1.0])
+    K = problem.product(problem.K, motion, motion).real
+    B = problem.product(problem.B, motion, motion).real
+    energy = K + 1j * omega * B
+    schur = problem.affine[0] + 1j * omega * problem.affine[1] + coupling
+    return problem.modulus(energy), abs(schur - energy) / abs(energy)
+
+
+def _limit(
+    solve: Callable[[LinearProblem], Limit], problem: LinearProblem, notes: list[str], what: str
+) -> Limit:
+    try:
+        return solve(problem)
+    except SolverError as error:
+        notes.append(f"{what} could not be had: {error}")
+        return Limit(np.nan, np.nan, np.nan)

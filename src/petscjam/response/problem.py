@@ -1,0 +1,76 @@
+"""A packing, a law and strain modes, made ready for a communicator: the forms K and B and who owns what.
+
+Motions are pairs (q, s): the degrees of freedom of every disk (N, 3) beyond the affine motion, and the
+strains (S,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from petscjam.damping import DampingLaw, viscous_form
+from petscjam.errors import InputError
+from petscjam.kinematics import Field, Form, StrainMode, elastic_form
+from petscjam.network import ContactNetwork
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import total
+from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
+
+Motion = tuple[Field, Sequence[complex]]
+
+
+class LinearProblem:
+    """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
+
+    Rattlers are taken out, unless the law drags them along. ``affine`` is (K_γγ, B_γγ).
+
+    Raises
+    ------
+    InputError
+        If the packing has no contacts, falls apart, or is not the same on every rank.
+    """
+
+    def __init__(
+        self, packing: Packing, law: DampingLaw, strains: Sequence[StrainMode], prestress: bool, comm: Any
+    ) -> None:
+        if len(set(comm.allgather(packing.checksum))) > 1:
+            raise InputError("packing: it differs between the ranks of the communicator")
+        self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
+        whole = ContactNetwork.of(packing)
+        self.backbone = whole.without_rattlers()
+        self.network = whole if law.body else self.backbone
+        self.pressure = prestress * whole.pressure
+        self.ownership = Ownership.of(packing, comm.size)
+        my_disks = self.ownership.owner == comm.rank
+
+        def forms(network: ContactNetwork) -> tuple[Form, Form]:
+            K = elastic_form(network, strains, prestress=prestress)
+            return K.share(my_disks), viscous_form(network, strains, law).share(my_disks)
+
+        self.K, self.B = forms(self.network)
+        self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)
+        self.active: Mask = unknowns(self.K, self.B, self.network, comm)
+        self.pinned_backbone: Mask = self.backbone.backbone[:, None] & np.array([True, True, False])
+        self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
+        rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
+        self.affine = tuple(self.product(form, rigid, rigid) for form in (self.K, self.B))
+
+    def number(self, active: Mask) -> Dofs:
+        """Number the ``active`` (N, 3) degrees of freedom for this communicator."""
+        return Dofs.number(active, self.ownership, self.comm.size)
+
+    def product(self, form: Form, left: Motion, right: Motion) -> complex:
+        """Return ⟨left, form right⟩, the left conjugated, summed over all ranks."""
+        return complex(total(self.comm, form.product(left, right)))
+
+    def modulus(self, energy: complex) -> complex:
+        """Turn A_eff of the first strain mode into its modulus."""
+        mode = self.strains[0]
+        return mode.scale * energy / self.packing.box.area + mode.pressure_term * self.pressure
+
+    def viscosity(self, dissipation: float) -> float:
+        """Turn Q†BQ of the first strain mode into its viscosity."""
+        return self.strains[0].scale * dissipation / self.packing.box.area

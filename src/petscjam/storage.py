@@ -1,0 +1,113 @@
+"""Files that are whole or absent: atomic writing, and reading that says what is wrong.
+
+HDF5 never touches the disk here. A file is built in memory and its bytes are moved into place by
+plain Python, so neither a kill nor a full disk leaves half a file, an error of the disk surfaces as
+an OSError at a known place, and a parallel build of h5py behaves as a serial one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from petscjam.errors import InputError
+
+if TYPE_CHECKING:
+    import h5py
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+@contextmanager
+def naming(path: str | PathLike[str]) -> Iterator[None]:
+    """Turn an OSError into an InputError, and see that every InputError names ``path``."""
+    try:
+        yield
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+
+
+def refuse_existing(path: str | PathLike[str], overwrite: bool) -> None:
+    """Raise an InputError if ``path`` exists, unless ``overwrite``."""
+    if not overwrite and os.path.lexists(path):
+        raise InputError(f"{path}: exists already; choose another name or ask to overwrite it")
+
+
+def write_atomically(path: str | PathLike[str], data: bytes) -> None:
+    """Replace the file at ``path`` by ``data``, wholly or not at all.
+
+    Raises
+    ------
+    InputError
+        If the disk is full, the folder is missing or not writable, ….
+    """
+    target = Path(os.path.realpath(path))  # a link stays a link
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    with naming(path):
+        try:
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+
+
+@contextmanager
+def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5py.File]:
+    """Yield an HDF5 file in memory; write it to ``path`` when the block ends without an error.
+
+    Parameters
+    ----------
+    path : path
+    existing : bool
+        Start from the contents of the file at ``path`` instead of an empty file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or ``existing`` and it cannot be read. ``path`` is then as before.
+    """
+    import h5py
+
+    memory = BytesIO()
+    if existing:
+        with open_h5(path), naming(path):
+            memory = BytesIO(Path(path).read_bytes())
+    with h5py.File(memory, "r+" if existing else "w") as file:
+        yield file
+    write_atomically(path, memory.getvalue())
+
+
+@contextmanager
+def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
+    """Open an HDF5 file for reading, through Python's own I/O (no locks, no MPI).
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not HDF5 or is damaged, also where that shows only inside the block.
+        An InputError raised inside the block gets the path in front of its message.
+    """
+    import h5py
+
+    with naming(path), open(path, "rb") as raw:
+        if raw.read(8) != HDF5_SIGNATURE:
+            raise InputError("not an HDF5 file")
+        try:
+            with h5py.File(raw, "r") as file:
+                yield file
+        except OSError as error:
+            raise InputError(f"damaged or truncated HDF5 file ({error})") from error
