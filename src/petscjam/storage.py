@@ -29,7 +29,7 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if str(path) in str(error):
+        if str(error).startswith(f"{path}:"):
             raise
         raise InputError(f"{path}: {error}") from error
     except OSError as error:
@@ -84,9 +84,10 @@ def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5p
 
     memory = BytesIO()
     if existing:
-        with open_h5(path), naming(path):
+        with open_h5(path):
             memory = BytesIO(Path(path).read_bytes())
-    with h5py.File(memory, "r+" if existing else "w") as file:
+    # Version 2 of the file format, which H5MD recommends, has checksums on its metadata.
+    with h5py.File(memory, "r+" if existing else "w", libver=("v108", "latest")) as file:
         yield file
     write_atomically(path, memory.getvalue())
 
@@ -98,8 +99,8 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
     Raises
     ------
     InputError
-        If the file is missing, is not HDF5 or is damaged, also where that shows only inside the block.
-        An InputError raised inside the block gets the path in front of its message.
+        If the file is missing or not HDF5, or if the block stumbles over what it reads. An InputError
+        raised in the block gets the path in front of its message. So only decode in the block.
     """
     import h5py
 
@@ -109,5 +110,7 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
         try:
             with h5py.File(raw, "r") as file:
                 yield file
-        except OSError as error:
-            raise InputError(f"damaged or truncated HDF5 file ({error})") from error
+        except InputError:
+            raise
+        except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
+            raise InputError(f"damaged HDF5 file, or not the expected content ({error})") from error

@@ -3,7 +3,13 @@
 H5MD allows two dimensions, but readers such as MDAnalysis insist on three. So positions get z = 0, and
 the cell a third edge, one largest diameter long, along an axis that is not periodic (there the standard
 calls the edge a placeholder). The one group of particles is called "trajectory" because that is where
-MDAnalysis looks for the number of particles. What H5MD has no place for is in /parameters/petscjam.
+MDAnalysis looks for the number of particles:
+
+    universe = MDAnalysis.Universe.empty(len(packing), trajectory=True)
+    universe.load_new("p.h5", format="H5MD", convert_units=False)
+
+(A program that, like MDAnalysis, keeps only lengths and angles of a cell takes its first edge to lie along x.)
+What H5MD has no place for is in /parameters/petscjam.
 """
 
 from __future__ import annotations
@@ -89,7 +95,7 @@ def read(path: str | PathLike[str]) -> Packing:
             raise InputError(f"not a packing of petscjam: /{OURS} lacks the attribute {', '.join(missing)}")
         if ours.attrs["schema"][0] > SCHEMA[0]:
             raise InputError(
-                f"schema {ours.attrs['schema'][0]} is newer than this petscjam, which reads {SCHEMA[0]}; upgrade"
+                f"written by a newer petscjam (schema {ours.attrs['schema'][0]}; this one reads {SCHEMA[0]})"
             )
         packing = Packing(
             positions=particles["position/value"][0, :, :2],

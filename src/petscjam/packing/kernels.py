@@ -1,4 +1,4 @@
-"""The one hot loop of packing preparation, compiled by numba.
+"""The hot loop of packing preparation, compiled by numba: forces over a neighbour list.
 
 Axes: i, j disks of pair c.
 """
@@ -11,7 +11,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-def]
-    """Gradient of the elastic energy, Σ ½k(σ − r)² over the pairs of a list that overlap.
+    """Elastic energy U = Σ ½k(σ − r)² of the pairs of a list that overlap, and its gradient.
 
     Parameters
     ----------
@@ -19,9 +19,9 @@ def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-d
         Positions in a reference cell; true lengths are ``scale`` times as long.
     scale : float
     i, j : (C,) integers
-        Pairs that may overlap; a pair that meets through two images is listed twice.
+        Pairs that may overlap; two disks that meet through two images are listed twice.
     image : (C, 2)
-        Lattice translation of j, so that r = scale·|x_j − x_i + image|.
+        Lattice translation of j in the reference cell: r = scale·|x_j − x_i + image|.
     sigma, k : (C,)
         Sum of radii and spring constant.
     out : (N, 2)
@@ -30,7 +30,6 @@ def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-d
     Returns
     -------
     energy : float
-        U.
     virial : float
         Σ f r, that is −dU/d(ln scale).
     largest : float
@@ -62,7 +61,7 @@ def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-d
 
 @njit(cache=True)
 def farthest(x, x0):  # type: ignore[no-untyped-def]
-    """Largest distance between a row of ``x`` (N, 2) and the same row of ``x0``."""
+    """Largest distance between a row of ``x`` (N, 2) and the same row of ``x0`` (N, 2)."""
     largest = 0.0
     for a in range(len(x)):
         largest = max(largest, (x[a, 0] - x0[a, 0]) ** 2 + (x[a, 1] - x0[a, 1]) ** 2)

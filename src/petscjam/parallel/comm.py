@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -47,24 +48,19 @@ def total(comm: Any, share: Any) -> Any:
     return out if out.ndim else out[()]
 
 
-def exit_together(code: int, message: str) -> None:
-    """End the program on every rank: together if all are ending, else by MPI_Abort within seconds.
+def exit_together(comm: Any, code: int, message: str) -> int:
+    """Agree on an exit: together if every rank is leaving, else by MPI_Abort within seconds.
 
-    The message is printed once where every rank has the same, else by the rank that failed.
+    ``comm`` spans all ranks and is used for nothing else. The message is printed once where every
+    rank leaves, else by the rank that failed.
     """
-    import time
-
-    from mpi4py import MPI
-
-    world = MPI.COMM_WORLD
-    if world.size > 1:
-        everyone = world.Ibarrier()
-        patience = time.monotonic() + 2.0
-        while not everyone.Test() and time.monotonic() < patience:
-            time.sleep(0.01)
-        if not everyone.Test():
-            print(f"{message} (on rank {world.rank})", file=sys.stderr, flush=True)
-            world.Abort(code)
-    if world.rank == 0:
+    everyone = comm.Ibarrier()
+    patience = time.monotonic() + 2.0
+    while not everyone.Test():
+        if time.monotonic() > patience:
+            print(f"{message} (rank {comm.rank} of {comm.size})", file=sys.stderr, flush=True)
+            comm.Abort(code)
+        time.sleep(0.01)
+    if comm.rank == 0:
         print(message, file=sys.stderr, flush=True)
-    sys.exit(code)
+    return code

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -15,6 +17,10 @@ ADVICE = (
     "on Debian install python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc "
     "configured with --with-scalar-type=complex --download-mumps (docs: Installing)"
 )
+OPENBLAS_KERNELS = {
+    "SKYLAKEX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
+    "HASWELL": {"avx2", "fma"},
+}
 _options: list[str] = []
 
 
@@ -32,8 +38,7 @@ def petsc() -> ModuleType:
     InputError
         If petsc4py is missing, has real scalars, or lacks MUMPS: one sentence that says how to get it.
     """
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")  # ranks are the threads; read when BLAS is loaded
+    _prepare_blas()
     try:
         import petsc4py
 
@@ -43,6 +48,22 @@ def petsc() -> ModuleType:
         raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None
     check(PETSc)
     return PETSc
+
+
+def _prepare_blas() -> None:
+    """Set what OpenBLAS reads when PETSc loads it, unless the user has set it.
+
+    Ranks are the threads. And an OpenBLAS older than the processor takes it for a Prescott of 2004,
+    which makes MUMPS more than twice as slow (docs/design/0003-openblas-kernel.md): name the kernel.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    with suppress(OSError):
+        flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text().partition("\nflags")[2].partition("\n")[0]))
+        for kernel, needs in OPENBLAS_KERNELS.items():
+            if needs <= flags:
+                os.environ.setdefault("OPENBLAS_CORETYPE", kernel)
+                break
 
 
 def check(PETSc: Any) -> None:

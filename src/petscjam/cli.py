@@ -1,0 +1,361 @@
+"""The command ``petscjam``: parse, call, print. Exit status 0 done, 2 bad input, 1 anything else."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NoReturn
+
+from petscjam.errors import InputError, SolverError
+
+RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that answers a mistake with one line."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{self.prog}: {message}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status, the same on every rank."""
+    from mpi4py import MPI
+
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    leaving = MPI.COMM_WORLD.Dup()
+    try:
+        return run(argv, MPI.COMM_WORLD)
+    except InputError as error:
+        return exit_with(leaving, 2, f"petscjam: {error}")
+    except SolverError as error:
+        return exit_with(leaving, 1, f"petscjam: {error}")
+    except KeyboardInterrupt:
+        return exit_with(leaving, 1, "petscjam: interrupted")
+    except Exception:
+        return exit_with(leaving, 1, traceback.format_exc())
+    finally:
+        leaving.Free()
+
+
+def exit_with(comm: Any, code: int, message: str) -> int:
+    """Print ``message`` once and leave on every rank."""
+    from petscjam.parallel.comm import exit_together
+
+    return exit_together(comm, code, message)
+
+
+def run(argv: list[str], comm: Any) -> int:
+    """Parse ``argv`` and do what it says."""
+    from petscjam.parallel.petsc import set_options
+
+    cut = argv.index("--") if "--" in argv else len(argv)
+    set_options(argv[cut + 1 :])
+    parser = build_parser()
+    options, unknown = parser.parse_known_args(argv[:cut])
+    if unknown:
+        raise InputError(misspelt(unknown[0], options.known))
+    options.work(options, comm)
+    return 0
+
+
+def misspelt(option: str, known: list[str]) -> str:
+    """Say that ``option`` is unknown and what may have been meant."""
+    close = get_close_matches(option.split("=")[0], known, 1)
+    return f"unknown argument {option}" + (f"; did you mean {close[0]}?" if close else "")
+
+
+def build_parser() -> Parser:
+    """Return the parser of all verbs."""
+    parser = Parser(
+        prog="petscjam",
+        description="Linear response of jammed packings of soft disks, at every frequency.",
+        epilog="PETSc options go after --, e.g. … -- -log_view. Units: stiffness k = 1, mean diameter d = 1, "
+        "time tau1 = 1, unless a packing brings its own length unit.",
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
+
+    p = add(verbs, "prepare", prepare, "make packings of bidisperse disks at a target pressure", RANKS)
+    p.add_argument("--particles", type=int, default=1024, metavar="N", help="number of disks (default 1024)")
+    p.add_argument("--pressure", type=number, default=1e-3, metavar="P",
+                   help="target pressure, in units of k (default 1e-3)")  # fmt: skip
+    p.add_argument("--seed", type=int, default=1, help="seed of the random start (default 1)")
+    p.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds, A to B, both counted")
+    p.add_argument("--method", choices=["cg", "fire"], help="minimiser (default: the faster one)")
+    output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
+
+    p = add(verbs, "info", info, "say what a packing or a result holds")
+    p.add_argument("file", type=Path, metavar="FILE")
+
+    p = add(verbs, "import", import_, "turn another program's packing into ours (no rescaling)")
+    p.add_argument("file", type=Path, metavar="FILE", help="jamBashBulk text, jax-md netCDF, extended XYZ")
+    p.add_argument("--index", type=int, default=0, help="which packing of a file with several (default 0)")
+    output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
+
+    p = add(verbs, "export", export, "write a packing for other programs")
+    p.add_argument("file", type=Path, metavar="FILE")
+    p.add_argument("--to", default="xyz", metavar="FORMAT", help="xyz: extended XYZ, for OVITO and ASE")
+    output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
+
+    p = add(verbs, "moduli", moduli, "complex modulus G*(omega) and its exact limits", RANKS)
+    p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
+    p.add_argument("--omega", type=frequencies, default="1e-8:1e2:61", metavar="RANGE",
+                   help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
+                        "or a list A,B,… (default 1e-8:1e2:61)")  # fmt: skip
+    p.add_argument("--damping", choices=["contact", "stokes"], default="contact",
+                   help="viscous force law (default contact)")  # fmt: skip
+    p.add_argument("--beta", type=number, help="contact: tangential over normal damping (default 1)")
+    p.add_argument("--no-rotations", action="store_true", help="contact: damp at the centres, disks do not roll")
+    p.add_argument("--eta-fluid", type=number, help="stokes: viscosity of the fluid, in k tau1 (default 1)")
+    p.add_argument("--strain", choices=["simple-shear", "pure-shear", "compression"], default="simple-shear",
+                   help="mode of deformation (default simple-shear)")  # fmt: skip
+    p.add_argument("--no-prestress", action="store_true", help="leave out the forces of the initial state")
+    p.add_argument("--fields", type=frequencies, default=(), metavar="RANGE",
+                   help="frequencies of the sweep (nearest point) whose displacements are kept")  # fmt: skip
+    p.add_argument("--direct", action="store_true",
+                   help="one factorisation a frequency (for now the only way)")  # fmt: skip
+    output(p, "OUT.h5", "results, one group a packing")
+
+    p = add(verbs, "plot", plot, "draw G' and G'' and the displacement fields of a result")
+    p.add_argument("file", type=Path, metavar="RESULT.h5")
+    output(p, "FIG.png", "figure (default: RESULT.png; the ending picks the format)",
+           required=False, resume=False)  # fmt: skip
+    return parser
+
+
+def add(verbs: Any, verb: str, work: Callable, text: str, epilog: str = "") -> Parser:
+    """Add a verb whose options are known by name to :func:`misspelt`."""
+    parser = verbs.add_parser(verb, help=text, description=text, epilog=epilog.format(verb=verb))
+    parser.set_defaults(work=work, known=parser._option_string_actions.keys())
+    return parser
+
+
+def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume: bool = True) -> None:
+    """Add ``-o`` and what to do if it exists."""
+    p.add_argument("-o", "--output", type=Path, metavar=metavar, required=required, help=text)
+    either = p.add_mutually_exclusive_group()
+    either.add_argument("--overwrite", action="store_true", help="replace an output that exists")
+    if resume:
+        either.add_argument("--resume", action="store_true", help="go on with an output that exists")
+
+
+def number(text: str) -> float:
+    """Parse a finite number."""
+    import math
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def seeds(text: str) -> range:
+    """Parse ``A:B``, both counted."""
+    try:
+        first, last = (int(part) for part in text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range A:B of whole numbers") from None
+    if last < first:
+        raise argparse.ArgumentTypeError(f"{text!r} is an empty range")
+    return range(first, last + 1)
+
+
+def frequencies(text: str) -> Any:
+    """Parse ``A:B:N`` (evenly in the logarithm, both ends) or ``A,B,…``, all > 0."""
+    import numpy as np
+
+    from petscjam.response.moduli import frequencies as checked
+
+    try:
+        if ":" not in text:
+            return checked([float(part) for part in text.split(",")])
+        first, last, count = text.split(":")
+        ends = checked([float(first), float(last)])
+        if int(count) < 1 or (ends[1] < ends[0]):
+            raise InputError(f"omega: the range {text} is empty")
+        if int(count) == 1 and ends[0] != ends[1]:
+            raise InputError(f"omega: the range {text} has two ends but one point")
+        return np.geomspace(*ends, int(count))
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:N nor a list A,B,…") from None
+
+
+def law(options: argparse.Namespace) -> Any:
+    """Return the damping law that the options describe; an option of the other law is refused."""
+    from petscjam.damping import ContactDamping, StokesDrag
+
+    if options.damping == "contact":
+        if options.eta_fluid is not None:
+            raise InputError("--eta-fluid goes with --damping stokes")
+        return ContactDamping(1.0 if options.beta is None else options.beta, not options.no_rotations)
+    if options.beta is not None or options.no_rotations:
+        raise InputError("--beta and --no-rotations go with --damping contact")
+    return StokesDrag(1.0 if options.eta_fluid is None else options.eta_fluid)
+
+
+def alone(comm: Any, work: Callable[[], Any]) -> Any:
+    """Do serial ``work`` on rank 0; an error reaches every rank."""
+    from petscjam.parallel.comm import on_root
+
+    return on_root(comm, work)
+
+
+def say(comm: Any, text: str) -> None:
+    """Print on rank 0."""
+    if comm.rank == 0:
+        print(text, flush=True)
+
+
+def prepare(options: argparse.Namespace, comm: Any) -> None:
+    """Deal the seeds to the ranks."""
+    from petscjam.packing.packing import Packing
+    from petscjam.packing.prepare import prepare_packing
+    from petscjam.progress import progress
+    from petscjam.storage import refuse_existing
+
+    many, target = options.seeds or [options.seed], options.output
+    folder = options.seeds is not None or target.is_dir()
+    names = {seed: f"N{options.particles}_p{options.pressure:g}_s{seed:04d}.h5" for seed in many}
+    files = {seed: target / names[seed] if folder else target for seed in many}
+
+    def left() -> list[int]:
+        if folder:
+            target.mkdir(parents=True, exist_ok=True)
+        if options.resume:
+            return [seed for seed in many if not (files[seed].exists() and Packing.read(files[seed]))]
+        for file in files.values():
+            refuse_existing(file, options.overwrite)
+        return list(many)
+
+    todo = alone(comm, left)
+    mine = todo[comm.rank :: comm.size]
+    with progress("prepare", show=comm.rank == 0) as report:
+        for k, seed in enumerate(mine):
+            packing = prepare_packing(
+                options.particles, options.pressure, seed,
+                **({"method": options.method} if options.method else {}),
+                progress=lambda f, text, k=k: report((k + f) / len(mine), text),
+            )  # fmt: skip
+            packing.write(files[seed], overwrite=True)
+    comm.Barrier()
+    say(comm, f"{len(todo)} prepared, {len(many) - len(todo)} there already: {target}")
+
+
+def info(options: argparse.Namespace, comm: Any) -> None:
+    """Print what a file holds."""
+
+    def text() -> str:
+        from petscjam.io.importers import import_packing
+        from petscjam.io.results import is_result, read_moduli
+        from petscjam.report import describe_packing, table
+
+        if is_result(options.file):
+            return table(read_moduli(options.file))
+        return describe_packing(import_packing(options.file))
+
+    say(comm, alone(comm, text))
+
+
+def import_(options: argparse.Namespace, comm: Any) -> None:
+    """Import a packing."""
+
+    def work() -> None:
+        from petscjam.io.importers import import_packing
+        from petscjam.packing.certify import certify
+
+        packing = certify(import_packing(options.file, options.index))
+        packing.write(options.output, overwrite=options.overwrite)
+        print(f"{options.output}: {len(packing)} disks, phi = {packing.phi:.6f}")
+
+    alone(comm, work)
+
+
+def export(options: argparse.Namespace, comm: Any) -> None:
+    """Export a packing."""
+
+    def work() -> None:
+        from petscjam.io.exporters import export_packing
+        from petscjam.io.importers import import_packing
+
+        target = options.output or options.file.with_suffix(f".{options.to}")
+        export_packing(import_packing(options.file), target, options.to, overwrite=options.overwrite)
+        print(target)
+
+    alone(comm, work)
+
+
+def moduli(options: argparse.Namespace, comm: Any) -> None:
+    """Sweep packing after packing, the ranks together; each result is written as it comes."""
+    import numpy as np
+
+    from petscjam.io.importers import import_packing
+    from petscjam.io.results import append_modulus, done, group_name, read_moduli
+    from petscjam.progress import progress
+    from petscjam.report import table
+    from petscjam.response.moduli import complex_modulus
+    from petscjam.storage import refuse_existing
+
+    damping, omega = law(options), options.omega
+    nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
+    kept = omega[np.unique(np.array(nearest, dtype=int))]
+    settings = {"damping": str(damping), "strain": options.strain, "prestress": not options.no_prestress}
+
+    def files_and_groups_done() -> tuple[list[Path], set[str]]:
+        files = [f for given in options.packings for f in (sorted(given.glob("*.h5")) if given.is_dir() else [given])]
+        for file in files:
+            if not file.exists():
+                raise InputError(f"{file}: no such file")
+        if not files:
+            raise InputError(f"{options.packings[0]}: no packings in this folder")
+        if options.resume and options.output.exists():
+            return files, done(options.output, settings, omega, kept)
+        refuse_existing(options.output, options.overwrite)
+        return files, set()
+
+    files, groups = alone(comm, files_and_groups_done)
+    fresh = options.overwrite
+    with progress("moduli", show=comm.rank == 0) as report:
+        for k, file in enumerate(files):
+            packing = alone(comm, lambda file=file: import_packing(file))
+            group = group_name(packing, file.stem)
+            if group in groups:
+                continue
+            result = complex_modulus(
+                packing, omega, damping=damping, strain=options.strain, prestress=settings["prestress"],
+                comm=comm, fields_at=kept, name=file.stem,
+                progress=lambda f, text, k=k, name=file.stem: report((k + f) / len(files), f"{name}: {text}"),
+            )  # fmt: skip
+            alone(comm, lambda r=result, g=group, f=fresh: append_modulus(r, options.output, g, fresh=f))
+            groups.add(group)
+            fresh = False
+    say(comm, alone(comm, lambda: table(read_moduli(options.output))))
+
+
+def plot(options: argparse.Namespace, comm: Any) -> None:
+    """Draw a result."""
+
+    def work() -> None:
+        from petscjam.io.results import read_moduli
+        from petscjam.plots import plot_moduli
+        from petscjam.storage import refuse_existing
+
+        target = options.output or options.file.with_suffix(".png")
+        results = read_moduli(options.file)
+        refuse_existing(target, options.overwrite)
+        plot_moduli(results, target)
+        print(target)
+
+    alone(comm, work)

@@ -1,0 +1,1 @@
+"""Packings from and for other programs."""

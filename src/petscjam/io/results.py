@@ -1,0 +1,164 @@
+"""Results in HDF5: one group a packing, added one by one, so that a killed run can go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields
+from os import PathLike, path
+from typing import Any
+
+import numpy as np
+
+from petscjam.box import Box
+from petscjam.errors import InputError
+from petscjam.packing.packing import Packing
+from petscjam.response.moduli import ComplexModulus
+from petscjam.storage import HDF5_SIGNATURE, atomic_h5, open_h5
+
+FORMAT, SCHEMA = "petscjam moduli", 1
+UNITS = {
+    "omega": "1/tau1", "values": "stress", "residuals": "1", "power_balance": "1", "G0": "stress",
+    "eta0": "stress*tau1", "G_inf": "stress", "eta_inf": "stress*tau1", "field_omega": "1/tau1",
+    "fields": "length per unit strain",
+}  # fmt: skip
+SETTINGS = ("strain", "damping", "prestress")
+DERIVED = ("stable",)  # written for other readers, never read back
+
+
+def group_name(packing: Packing, name: str) -> str:
+    """Return the group of a packing: its name and the start of its checksum."""
+    return f"{name}-{packing.checksum[:8]}"
+
+
+def append_modulus(
+    result: ComplexModulus, file: str | PathLike[str], group: str, *, fresh: bool = False
+) -> None:
+    """Add ``result`` to ``file`` as ``group``; the file is whole at every moment.
+
+    With ``fresh`` it replaces whatever the file held.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or written.
+    """
+    with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
+        h5.attrs.update(format=FORMAT, schema=SCHEMA)
+        node = h5.create_group(group)
+        for item in fields(result):
+            _write(node, item.name, getattr(result, item.name))
+        for name in DERIVED:
+            node.attrs[name] = getattr(result, name)
+
+
+def is_result(file: str | PathLike[str]) -> bool:
+    """Tell whether ``file`` holds results rather than a packing."""
+    with open(file, "rb") as raw:
+        if raw.read(8) != HDF5_SIGNATURE:
+            return False
+    with open_h5(file) as h5:
+        return h5.attrs.get("format") == FORMAT
+
+
+def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
+    """Return every result of ``file`` by the name of its group.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or not one of moduli.
+    """
+    with open_h5(file) as h5:
+        kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
+        if (kind, schema) != (FORMAT, SCHEMA):
+            raise InputError(f"holds {kind!r} with schema {schema}, not {FORMAT!r} with schema {SCHEMA}")
+        return {name: _read(node) for name, node in h5.items()}
+
+
+def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
+    """Return the one result of ``file``; :func:`read_moduli` returns several.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, not one of moduli, or holds more than one result.
+    """
+    results = list(read_moduli(file).values())
+    if len(results) != 1:
+        raise InputError(f"{file}: holds {len(results)} results; read them with read_moduli")
+    return results[0]
+
+
+def done(
+    file: str | PathLike[str], settings: dict[str, Any], omega: np.ndarray, kept: np.ndarray
+) -> set[str]:
+    """Return the groups that ``file`` holds already, if they were made with the same settings.
+
+    Raises
+    ------
+    InputError
+        If they were made with others.
+    """
+    results = read_moduli(file)
+    for name, result in results.items():
+        for setting in SETTINGS:
+            if getattr(result, setting) != settings[setting]:
+                raise InputError(
+                    f"{file}: {name} was made with {setting} = {getattr(result, setting)}, "
+                    f"not {settings[setting]}; it cannot be resumed"
+                )
+        for what, old, new in (("omega", result.omega, omega), ("fields", result.field_omega, kept)):
+            if not np.array_equal(old, new):
+                raise InputError(f"{file}: {name} was made at other frequencies ({what}); it cannot be resumed")
+    return set(results)
+
+
+def _write(node: Any, name: str, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        node[name] = value
+        if name in UNITS:
+            node[name].attrs["unit"] = UNITS[name]
+    elif isinstance(value, dict):
+        node.create_group(name).attrs.update(value)
+    elif isinstance(value, Packing):
+        geometry = node.create_group(name)
+        geometry["positions"], geometry["radii"] = value.positions, value.radii
+        geometry["cell"] = value.box.cell
+        geometry.attrs["potential"] = value.potential_name
+    elif isinstance(value, tuple):
+        node.attrs[name] = "\n".join(value)
+    elif value is not None:
+        node.attrs[name] = value
+        if name in UNITS:
+            node.attrs[f"{name} unit"] = UNITS[name]
+
+
+def _read(node: Any) -> ComplexModulus:
+    values: dict[str, Any] = {}
+    try:
+        for item in fields(ComplexModulus):
+            values[item.name] = _value(node, item.name)
+    except KeyError as error:
+        raise InputError(f"{node.name}: {error.args[0]}") from None
+    return ComplexModulus(**values)
+
+
+def _value(node: Any, name: str) -> Any:
+    if name == "geometry":
+        if name not in node:
+            return None
+        g = node[name]
+        return Packing(g["positions"][()], g["radii"][()], Box(g["cell"][()]), g.attrs["potential"])
+    if name == "notes":
+        return tuple(node.attrs[name].splitlines())
+    if name in node:
+        return _attributes(node[name].attrs.items()) if hasattr(node[name], "keys") else node[name][()]
+    return _plain(node.attrs[name])
+
+
+def _attributes(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: _plain(value) for key, value in items}
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,119 @@
+"""Figures: G′ and G″ against frequency, and how the disks move (BT Fig. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.kinematics import strain_mode
+from petscjam.report import state
+from petscjam.response.moduli import ComplexModulus
+from petscjam.storage import naming
+
+STORAGE, LOSS, UNSTABLE = "#1f5fa8", "#c8551b", "#8b1a1a"
+
+
+def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]) -> None:
+    """Draw every result of a file; the displacement fields of the first that has them lie below.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    pictured = next((g for g in results.values() if len(g.field_omega)), None)
+    columns = max(3, len(pictured.field_omega)) if pictured else 1
+    if pictured:
+        figure = plt.figure(figsize=(3.4 * columns, 5.2 + 6.6), layout="constrained")
+        top, bottom = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
+        _draw_fields(bottom, pictured)
+    else:
+        figure = plt.figure(figsize=(7.2, 5.2), layout="constrained")
+        top = figure
+    _draw_moduli(top.subplots(), results)
+    with naming(path):
+        figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
+    one = len(results) == 1
+    for g in results.values():
+        for values, colour, marker in ((g.values.real, STORAGE, "o"), (g.values.imag, LOSS, "s")):
+            line = axes.loglog(g.omega, np.where(values > 0, values, np.nan), color=colour, lw=1,
+                               alpha=1 if one else 0.5)[0]  # fmt: skip
+            if one:
+                line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
+            axes.loglog(g.omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
+    first = next(iter(results.values()))
+    low, high = first.omega.min(), first.omega.max()
+    if one:
+        ends = (
+            (first.G0, 0, low, STORAGE, r"$G_0$"), (first.eta0, 1, low, LOSS, r"$\eta_0\omega$"),
+            (first.G_inf, 0, high, STORAGE, r"$G_\infty$"), (first.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$"),
+        )  # fmt: skip
+        for limit, slope, end, colour, text in ends:
+            if limit > 0:
+                span = np.array([end, end * (1e3 if end == low else 1e-2)])
+                axes.loglog(span, limit * span**slope, "--", color=colour, lw=0.9, zorder=0)
+                axes.annotate(text, (span[0], limit * span[0] ** slope), xytext=(0, 5), color=colour,
+                              textcoords="offset points", ha="left" if end == low else "right")  # fmt: skip
+    _guides(axes, first)
+    bad = [g for g in results.values() if not g.stable]
+    axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=r"$G',\;G''$  (units of $k$)")
+    axes.plot([], [], "-o", color=STORAGE, label="storage modulus $G'$")
+    axes.plot([], [], "-s", color=LOSS, mfc="white", label="loss modulus $G''$")
+    if bad:
+        axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
+    axes.legend(loc="upper left", frameon=False)
+    p, count = first.packing, len(results)
+    title = f"{p['particles']} disks, p = {p['pressure']:.3g}" if one else f"{count} packings"
+    title += f"; {first.damping}; {'with' if first.prestress else 'without'} pre-stress; {first.strain}"
+    axes.set_title(title, fontsize=10)
+    if bad:
+        text = state(bad[0]) if one else f"{len(bad)} of {count} packings UNSTABLE"
+        axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
+
+
+def _guides(axes: Any, g: ComplexModulus) -> None:
+    """Draw slopes 1 and ½ beside G″."""
+    spans = {1.0: g.omega.min() * np.array([30, 3e3]), 0.5: np.array([3e-3, 0.3])}
+    for slope, span in spans.items():
+        inside = span[1] < g.omega.max() and span[0] >= g.omega.min()
+        height = np.interp(np.log(span[0]), np.log(g.omega), np.log(np.abs(g.values.imag)))
+        if inside and len(g.omega) > 2:
+            guide = 0.35 * np.exp(height) * (span / span[0]) ** slope
+            axes.loglog(span, guide, color="0.4", lw=1)
+            axes.annotate("slope 1" if slope == 1 else "slope ½", (span[1], guide[1]), color="0.4",
+                          xytext=(4, -8), textcoords="offset points", fontsize=9)  # fmt: skip
+
+
+def _draw_fields(figure: Any, g: ComplexModulus) -> None:
+    """Draw Im Q* (zero stress) above Re Q* (peak stress), Q* = (δσ/G*)(q, 1); each panel on its own scale."""
+    panels = figure.subplots(2, len(g.field_omega), squeeze=False)
+    packing = g.geometry
+    assert packing is not None
+    x = packing.box.wrap(packing.positions)
+    centre = packing.box.cell.sum(0) / 2
+    affine = (x - centre) @ strain_mode(g.strain).gradient.T
+    spacing = np.sqrt(packing.box.area / len(packing))
+    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
+    for w, omega in enumerate(g.field_omega):
+        total = (g.fields[w] + affine) / g.values[np.argmin(np.abs(g.omega - omega))]
+        for row, (motion, name) in enumerate(((total.imag, "zero stress"), (total.real, "peak stress"))):
+            axes = panels[row, w]
+            size = np.sqrt((motion**2).sum(1).mean())
+            axes.quiver(*x.T, *(motion * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
+                        width=0.0035, color=STORAGE if row else LOSS)  # fmt: skip
+            axes.plot(*outline.T, color="0.6", lw=0.8)
+            axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)
+            axes.set(aspect="equal", xticks=[], yticks=[])
+            axes.set_frame_on(False)

@@ -1,0 +1,54 @@
+"""Progress with an estimate of the time left: a bar on a terminal, plain lines in a batch log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Report = Callable[[float, str], None]
+LINE_EVERY = 10.0  # seconds between lines of a log
+
+
+@contextmanager
+def progress(label: str, *, show: bool) -> Iterator[Report]:
+    """Give a function of the fraction done and a text; it prints nothing unless ``show`` (rank 0)."""
+    if not show:
+        yield lambda fraction, text: None
+    elif sys.stderr.isatty():
+        with _bar(label) as report:
+            yield report
+    else:
+        yield _lines(label)
+
+
+@contextmanager
+def _bar(label: str) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    with Progress(
+        TextColumn(label), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(),
+        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[text]}"),
+        console=Console(stderr=True),
+    ) as bar:  # fmt: skip
+        task = bar.add_task(label, total=1.0, text="")
+        yield lambda fraction, text: bar.update(task, completed=fraction, text=text)
+
+
+def _lines(label: str) -> Report:
+    start = time.monotonic()
+    last = start
+
+    def report(fraction: float, text: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last < LINE_EVERY and fraction < 1:
+            return
+        last = now
+        elapsed = now - start
+        left = f", {elapsed * (1 / fraction - 1):.0f} s left" if 0 < fraction < 1 else ""
+        print(f"{label}: {100 * fraction:.0f} %, {elapsed:.0f} s{left}; {text}", file=sys.stderr, flush=True)
+
+    return report

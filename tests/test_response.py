@@ -1,0 +1,271 @@
+"""Facts that any G* obeys: the slow twin, closed forms, identities, limits."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import petscjam as pj
+from petscjam import reference
+from petscjam.damping import LAWS
+from petscjam.kinematics import STRAINS
+
+DATA = Path(__file__).parent / "data"
+OMEGA = np.geomspace(1e-4, 1e3, 8)
+EVERY_LAW = [
+    pj.ContactDamping(), pj.ContactDamping(rotations=False), pj.ContactDamping(beta=0.0),
+    pj.ContactDamping(beta=0.03), pj.StokesDrag(eta_fluid=0.5), pj.StokesDrag(eta_fluid=0.0),
+]  # fmt: skip
+
+
+def jax_md(index=0):
+    return pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
+
+
+def sixteen():
+    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
+
+
+def with_a_rattler():
+    """The sixteen disks, and in a hole between them a small seventeenth that touches nobody."""
+    packing = sixteen()
+    grid = packing.box.cell.T @ np.mgrid[0:1:60j, 0:1:60j].reshape(2, -1)
+    gaps = [
+        (np.hypot(*packing.box.minimum_image(packing.positions - x).T) - packing.radii).min() for x in grid.T
+    ]
+    x, gap = grid.T[np.argmax(gaps)], max(gaps)
+    return replace(
+        packing, positions=[*packing.positions, x], radii=[*packing.radii, 0.9 * gap], provenance={}
+    )
+
+
+def touching_rattler():
+    """The same, grown until it touches one disk."""
+    packing = with_a_rattler()
+    r = packing.radii.copy()
+    r[-1] *= 1.0 / 0.9 * (1 + 1e-9)
+    return replace(packing, radii=r)
+
+
+def twin(packing, law, omega, strain, prestress):
+    """G* by the slow twin; rattlers go for contact damping and stay for drag."""
+    relative = packing.potential_name == "harmonic-relative"
+    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative)
+    if law.body:
+        B = reference.stokes_drag(len(packing), packing.box.area, law.fluid, strain)
+    else:
+        found = reference.without_rattlers(found, len(packing))
+        B = reference.contact_damping(found, packing.radii, law.beta, law.rotations, strain)
+    K = reference.hessian(found, packing.radii, strain, prestress)
+    G = np.array([reference.modulus(K, B, w, packing.box.area) for w in omega])
+    if strain == "compression":
+        p = sum(c.force * np.hypot(c.rx, c.ry) for c in found) / (2 * packing.box.area)
+        G = (G + 2 * p * prestress) / 4
+    return G
+
+
+PACKINGS = {
+    "jamBashBulk": sixteen, "jax-md": jax_md, "rattler": with_a_rattler, "touching rattler": touching_rattler,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("prestress", [True, False])
+@pytest.mark.parametrize("strain", STRAINS)
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_slow_twin(packing, law, strain, prestress):
+    packing, omega = PACKINGS[packing](), OMEGA[1:-1:2]
+    fast = pj.complex_modulus(packing, omega, damping=law, strain=strain, prestress=prestress)
+    slow = twin(packing, law, omega, strain, prestress)
+    assert fast.values.real == pytest.approx(slow.real, rel=1e-8)
+    assert fast.values.imag == pytest.approx(slow.imag, rel=1e-8)
+
+
+def test_every_law_is_tested():
+    assert {type(law) for law in EVERY_LAW} == set(LAWS.values())
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_stokes_drag_is_its_modal_sum(index):
+    packing = jax_md(index)
+    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative=True)
+    K = reference.hessian(found, packing.radii)
+    by_hand = [reference.stokes_modal_sum(K, w, packing.box.area, 0.7) for w in OMEGA]
+    g = pj.complex_modulus(packing, OMEGA, damping=pj.StokesDrag(0.7))
+    assert g.values == pytest.approx(np.array(by_hand), rel=1e-10)
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+def test_limit_of_low_frequency(law):
+    """G′ → G0 and G″/ω → η0, with corrections of order ω²: a tenth of ω, a hundredth of the error."""
+    g = pj.complex_modulus(jax_md(), [1e-3, 1e-4], damping=law)
+    storage, loss = np.abs(g.values.real - g.G0), np.abs(g.values.imag / g.omega - g.eta0)
+    assert storage[1] <= 0.0101 * storage[0] + 1e-13
+    assert loss[1] <= 0.0101 * loss[0] + 1e-12
+    assert storage[0] < 1e-3 * g.G0
+    assert loss[0] < 1e-2 * g.eta0
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+def test_limit_of_high_frequency(law):
+    """G′ → G∞ and G″/ω → η∞, with corrections of order 1/ω²."""
+    g = pj.complex_modulus(jax_md(), [1e3, 1e4], damping=law)
+    storage, loss = np.abs(g.values.real - g.G_inf), np.abs(g.values.imag / g.omega - g.eta_inf)
+    assert storage[1] <= 0.0101 * storage[0] + 1e-13
+    assert loss[1] <= 0.0101 * loss[0] + 1e-12
+    assert storage[0] < 1e-2 * g.G_inf
+
+
+@pytest.mark.parametrize("packing", ["rattler", "touching rattler"])
+def test_low_frequency_viscosity_with_a_dragged_rattler(packing):
+    """η0 is the limit of the sweep also where a rattler follows its neighbour."""
+    g = pj.complex_modulus(PACKINGS[packing](), [1e-5], damping=pj.StokesDrag(1.0), prestress=False)
+    assert g.eta0 == pytest.approx(g.values[0].imag / 1e-5, rel=1e-7)
+    assert g.G0 == pytest.approx(g.values[0].real, rel=1e-7)
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+@pytest.mark.parametrize("strain", STRAINS)
+def test_power_balance_closes(law, strain):
+    g = pj.complex_modulus(jax_md(), OMEGA, damping=law, strain=strain)
+    assert g.power_balance.max() < 1e-12
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+def test_residuals_are_at_rounding(law):
+    assert pj.complex_modulus(jax_md(), OMEGA, damping=law).residuals.max() < 1e-12
+
+
+@pytest.mark.parametrize("turns", list(itertools.product([-2, 1], [0, 3])), ids=str)
+@pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag()], ids=str)
+def test_a_tilt_by_whole_lattice_vectors_is_the_same_system(law, turns):
+    packing = sixteen()
+    a, b = packing.box.cell
+    a2 = a + turns[0] * b
+    tilted = replace(packing, box=pj.Box([a2, b + turns[1] * a2]))
+    before, after = (pj.complex_modulus(p, OMEGA, damping=law) for p in (packing, tilted))
+    assert after.values == pytest.approx(before.values, rel=1e-10)
+
+
+def test_any_periodic_image_of_a_disk_will_do():
+    packing = sixteen()
+    shifts = np.random.default_rng(1).integers(-3, 4, (16, 2))
+    moved = replace(packing, positions=packing.positions + shifts @ packing.box.cell)
+    before, after = (pj.complex_modulus(p, OMEGA).values for p in (packing, moved))
+    assert after == pytest.approx(before, rel=1e-10)
+
+
+def square_lattice(columns, rows):
+    """Disks of radius ½ that overlap by 1 %: no cycle of contacts is odd if both numbers are even."""
+    grid = 0.99 * np.mgrid[0:columns, 0:rows].reshape(2, -1).T
+    return pj.Packing(grid, np.full(columns * rows, 0.5), pj.Box(0.99 * np.diag([columns, rows])))
+
+
+@pytest.mark.parametrize("size", [(2, 2), (4, 4), (3, 4), (3, 3)], ids=str)
+def test_square_lattice_with_and_without_gears(size):
+    """Counter-rotation costs nothing on an even lattice; sliding then cannot be rolled away by it.
+
+    Under simple shear every vertical contact slides by γ·a, and rolling (θ the same for all) takes
+    half of it to the horizontal contacts: η∞ = ½·β·a²/V per disk, whatever the parity.
+    """
+    g = pj.complex_modulus(square_lattice(*size), [1.0], prestress=False)
+    assert g.eta_inf == pytest.approx(0.5, rel=1e-10)
+
+
+def test_two_disks_that_meet_through_two_images():
+    """A cell two disks wide: each touches the other on both sides."""
+    g = pj.complex_modulus(square_lattice(2, 2), [1.0], prestress=False, strain="compression")
+    # K_γγ = 2 contacts a disk, each stretched by ε a: B = ¼ · 2 a²/a² = ½
+    assert g.values[0] == pytest.approx(0.5 * (1 + 1j), rel=1e-12)
+
+
+def test_conjugate_at_negative_frequency():
+    """A(−ω) = A(ω)*, so the solution is conjugate: checked on the assembled pencil."""
+    from petscjam.kinematics import SIMPLE_SHEAR
+    from petscjam.parallel.comm import resolve
+    from petscjam.response.matrices import assembled
+    from petscjam.response.problem import LinearProblem
+    from petscjam.response.solver import direct_solver
+
+    comm = resolve()
+    problem = LinearProblem(jax_md(), pj.ContactDamping(), [SIMPLE_SHEAR], True, comm)
+    dofs = problem.number(problem.active)
+    with assembled(problem.K, problem.B, dofs, comm) as pencil, direct_solver(comm) as solver:
+        solutions = []
+        for omega in (0.3, -0.3):
+            solver.factor(pencil.combine(1, 1j * omega))
+            solutions.append(solver.solve((pencil.k + 1j * omega * pencil.b)[:, 0])[0])
+    assert solutions[1] == pytest.approx(solutions[0].conj(), rel=1e-12)
+
+
+@pytest.mark.parallel(nprocs=[1, 2, 3])
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+def test_the_answer_does_not_depend_on_the_number_of_ranks(comm, law):
+    from mpi4py import MPI
+
+    together = pj.complex_modulus(jax_md(), OMEGA, damping=law, comm=comm, fields_at=OMEGA[:2])
+    alone = pj.complex_modulus(jax_md(), OMEGA, damping=law, comm=MPI.COMM_SELF, fields_at=OMEGA[:2])
+    assert together.values == pytest.approx(alone.values, rel=1e-10)
+    assert [together.G0, together.eta0, together.G_inf, together.eta_inf] == pytest.approx(
+        [alone.G0, alone.eta0, alone.G_inf, alone.eta_inf], rel=1e-10
+    )
+    assert together.fields == pytest.approx(alone.fields, rel=1e-9, abs=1e-10)
+
+
+@pytest.mark.parallel(nprocs=3)
+def test_a_split_communicator(comm):
+    """Two teams, each with a packing of its own."""
+    team = comm.Split(comm.rank // 2, comm.rank)
+    g = pj.complex_modulus(jax_md(comm.rank // 2), [0.1], comm=team)
+    expected = pj.complex_modulus(jax_md(comm.rank // 2), [0.1], comm=comm.Split(comm.rank))
+    assert g.values == pytest.approx(expected.values, rel=1e-12)
+
+
+@pytest.mark.parallel(nprocs=3)
+def test_a_rank_that_owns_nothing(comm):
+    """Two disks with their own images, three ranks."""
+    cell = 0.99 * np.array([[1.0, 0.0], [1.0, 2.0]])
+    two = pj.Packing([[0, 0], [0, 0.99]], [0.5, 0.5], pj.Box(cell))
+    assert pj.complex_modulus(two, [1.0], comm=comm, prestress=False).values == pytest.approx(
+        twin(two, pj.ContactDamping(), [1.0], "simple-shear", False), rel=1e-10
+    )
+
+
+@pytest.mark.parallel(nprocs=2)
+def test_different_packings_on_different_ranks_are_refused(comm):
+    with pytest.raises(pj.InputError, match="differs between the ranks"):
+        pj.complex_modulus(jax_md(comm.rank), [1.0], comm=comm)
+
+
+def test_an_unstable_packing_is_flagged():
+    """A square lattice under pressure, without next neighbours, shears downhill."""
+    g = pj.complex_modulus(square_lattice(4, 4), [1.0])
+    assert g.G0 < 0
+    assert not g.stable
+
+
+@pytest.mark.parametrize("omega", [[0.0], [-1.0], [np.nan], [np.inf], []])
+def test_bad_frequencies_are_refused(omega):
+    with pytest.raises(pj.InputError, match="omega"):
+        pj.complex_modulus(sixteen(), omega)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: pj.ContactDamping(-0.1), lambda: pj.ContactDamping(np.nan), lambda: pj.StokesDrag(-1)]
+)
+def test_bad_laws_are_refused(make):
+    with pytest.raises(pj.InputError, match="must be ≥ 0"):
+        make()
+
+
+def test_unknown_strain_is_refused():
+    with pytest.raises(pj.InputError, match="torsion"):
+        pj.complex_modulus(sixteen(), [1.0], strain="torsion")
+
+
+def test_a_packing_without_contacts_is_refused():
+    packing = sixteen()
+    with pytest.raises(pj.InputError, match="no contacts"):
+        pj.complex_modulus(replace(packing, radii=packing.radii / 2), [1.0])
