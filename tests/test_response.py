@@ -214,6 +214,14 @@ def test_the_answer_does_not_depend_on_the_number_of_ranks(comm, law):
     assert together.fields == pytest.approx(alone.fields, rel=1e-9, abs=1e-10)
 
 
+@pytest.mark.parametrize("law", EVERY_LAW[:1] + EVERY_LAW[-1:], ids=str)
+def test_displacements_of_rattlers(law):
+    """Taken out, they have none; dragged along without contacts, they move with the fluid."""
+    g = pj.complex_modulus(with_a_rattler(), [0.1], damping=law, fields_at=[0.1])
+    assert np.isnan(g.fields[0, 16]).all() if law.body == 0 else (g.fields[0, 16] == 0).all()
+    assert np.isfinite(g.fields[0, :16]).all()
+
+
 @pytest.mark.parallel(nprocs=3)
 def test_a_split_communicator(comm):
     """Two teams, each with a packing of its own."""

@@ -64,7 +64,8 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
             if limit > 0:
                 span = np.array([end, end * (1e3 if end == low else 1e-2)])
                 axes.loglog(span, limit * span**slope, "--", color=colour, lw=0.9, zorder=0)
-                axes.annotate(text, (span[0], limit * span[0] ** slope), xytext=(0, 5), color=colour,
+                axes.annotate(text, (span[0], limit * span[0] ** slope), color=colour,
+                              xytext=(12, -3) if text == ends[1][4] else (0, 7),
                               textcoords="offset points", ha="left" if end == low else "right")  # fmt: skip
     _guides(axes, first)
     bad = [g for g in results.values() if not g.stable]
@@ -110,7 +111,8 @@ def _draw_fields(figure: Any, g: ComplexModulus) -> None:
         total = (g.fields[w] + affine) / g.values[np.argmin(np.abs(g.omega - omega))]
         for row, (motion, name) in enumerate(((total.imag, "zero stress"), (total.real, "peak stress"))):
             axes = panels[row, w]
-            size = np.sqrt((motion**2).sum(1).mean())
+            motion = motion - np.nanmean(motion, axis=0)
+            size = np.sqrt(np.nanmean((motion**2).sum(1)))
             axes.quiver(*x.T, *(motion * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
                         width=0.0035, color=STORAGE if row else LOSS)  # fmt: skip
             axes.plot(*outline.T, color="0.6", lw=0.8)

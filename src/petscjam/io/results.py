@@ -13,7 +13,7 @@ from petscjam.box import Box
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
 from petscjam.response.moduli import ComplexModulus
-from petscjam.storage import HDF5_SIGNATURE, atomic_h5, open_h5
+from petscjam.storage import HDF5_SIGNATURE, atomic_h5, naming, open_h5
 
 FORMAT, SCHEMA = "petscjam moduli", 1
 UNITS = {
@@ -53,7 +53,7 @@ def append_modulus(
 
 def is_result(file: str | PathLike[str]) -> bool:
     """Tell whether ``file`` holds results rather than a packing."""
-    with open(file, "rb") as raw:
+    with naming(file), open(file, "rb") as raw:
         if raw.read(8) != HDF5_SIGNATURE:
             return False
     with open_h5(file) as h5:

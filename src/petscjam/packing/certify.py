@@ -72,7 +72,6 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("certify: the factorisation of K exchanged rows; its pivots do not count modes")
     rounding = eps * (abs(lu.L) @ (abs(lu.U) @ np.ones(K.shape[0]))).max()
-    print("rounding/shift", rounding/shift)
     return int((lu.U.diagonal() < 0).sum())
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 
 ADVICE = (
     "on Debian install python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc "
@@ -95,11 +95,29 @@ def slepc() -> ModuleType:
 
 
 @contextmanager
+def destroying(*objects: Any) -> Iterator[None]:
+    """Destroy PETSc objects on leaving. That is collective, and so are our own errors.
+
+    Any other exception may be this rank's alone: it goes on at once, and the objects are left to the
+    end of the program.
+    """
+    try:
+        yield
+    except (InputError, SolverError):
+        _destroy(objects)
+        raise
+    _destroy(objects)
+
+
+def _destroy(objects: Sequence[Any]) -> None:
+    for item in objects:
+        item.destroy()
+
+
+@contextmanager
 def stage(name: str) -> Iterator[None]:
     """Name a stretch of work in PETSc's ``-log_view``."""
     log = petsc().Log.Stage(f"petscjam: {name}")
     log.push()
-    try:
-        yield
-    finally:
-        log.pop()
+    yield
+    log.pop()

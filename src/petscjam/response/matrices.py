@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.kinematics import Form
-from petscjam.parallel.petsc import petsc, stage
+from petscjam.parallel.petsc import destroying, petsc, stage
 from petscjam.response.dofs import Dofs
 
 
@@ -66,11 +66,8 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Any) -> Iterator[Pencil]:
             _matrix(rows.indptr, rows.indices, part, dofs, comm)
             for part in (rows.data.real, rows.data.imag, rows.data)
         )
-    try:
+    with destroying(stiffness, friction, combination):
         yield Pencil(dofs, stiffness, friction, combination, columns.real, columns.imag)
-    finally:
-        for matrix in (stiffness, friction, combination):
-            matrix.destroy()
 
 
 def _drag(B: Form, dofs: Dofs, start: int, stop: int) -> NDArray:

@@ -60,7 +60,8 @@ class ComplexModulus:
     field_omega : (F,)
         Frequencies whose displacements are kept.
     fields : (F, N, 2) complex
-        Non-affine displacement per unit strain.
+        Non-affine displacement per unit strain; NaN on rattlers that were taken out. Where the law does
+        not see a translation, the mean over the backbone is zero.
     geometry : Packing or None
         The packing, kept with the fields.
     performance : dict
@@ -152,7 +153,8 @@ def complex_modulus(
         for w, frequency in enumerate(omega):
             q, residuals[w], coupling = _solve(problem, pencil, solver, frequency)
             values[w], balance[w] = _moduli(problem, q, frequency, coupling)
-            fields[kept == frequency] = q[:, :2]
+            if frequency in kept:
+                fields[kept == frequency] = problem.displacement(q)
             if progress:
                 progress((w + 1) / len(omega), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
         memory = solver.memory if len(omega) else 0.0

@@ -66,6 +66,15 @@ class LinearProblem:
         """Return ⟨left, form right⟩, the left conjugated, summed over all ranks."""
         return complex(total(self.comm, form.product(left, right)))
 
+    def displacement(self, q: Field) -> Field:
+        """Return the displacements (N, 2) of ``q`` (N, 3), free of the choice of the disk that is held."""
+        u = q[:, :2].copy()
+        backbone = self.backbone.backbone
+        if not self.law.body:
+            u -= u[backbone].mean(0)
+            u[~backbone] = np.nan
+        return u
+
     def modulus(self, energy: complex) -> complex:
         """Turn A_eff of the first strain mode into its modulus."""
         mode = self.strains[0]

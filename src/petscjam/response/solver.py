@@ -13,7 +13,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
-from petscjam.parallel.petsc import petsc, stage
+from petscjam.parallel.petsc import destroying, petsc, stage
 
 OUT_OF_WORKSPACE = (-8, -9)
 LARGEST_EXTRA_WORKSPACE = 2000  # per cent
@@ -27,16 +27,17 @@ class DirectSolver:
     ----------
     factorisations : int
         How many were made.
+    ksp : PETSc.KSP
     """
 
     def __init__(self, comm: Any) -> None:
         PETSc = petsc()
         self.factorisations = 0
         self._A: Any = None
-        self._ksp = PETSc.KSP().create(comm)
-        self._ksp.setOptionsPrefix("petscjam_")
-        self._ksp.setType(PETSc.KSP.Type.PREONLY)
-        pc = self._ksp.getPC()
+        self.ksp = PETSc.KSP().create(comm)
+        self.ksp.setOptionsPrefix("petscjam_")
+        self.ksp.setType(PETSc.KSP.Type.PREONLY)
+        pc = self.ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY)
         pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
@@ -50,18 +51,18 @@ class DirectSolver:
         """
         first = self._A is None
         self._A = A
-        self._ksp.setOperators(A, A)
+        self.ksp.setOperators(A, A)
         if first:
-            self._ksp.setFromOptions()
+            self.ksp.setFromOptions()
         with stage("factor"):
-            self._ksp.setUp()
+            self.ksp.setUp()
             code, workspace = self._code(), 20
             while code in OUT_OF_WORKSPACE and workspace < LARGEST_EXTRA_WORKSPACE:
                 workspace = max(4 * self._factor().getMumpsIcntl(14), 80)
                 self._factor().setMumpsIcntl(14, workspace)
                 A.stateIncrease()
-                self._ksp.setOperators(A, A)
-                self._ksp.setUp()
+                self.ksp.setOperators(A, A)
+                self.ksp.setUp()
                 code = self._code()
         self.factorisations += 1
         if code < 0:
@@ -74,31 +75,23 @@ class DirectSolver:
         """
         f, x = self._A.createVecLeft(), self._A.createVecRight()
         r = f.duplicate()
-        try:
+        with destroying(f, x, r), stage("solve"):
             f.array[:] = rhs
             norm = f.norm() or 1.0
-            with stage("solve"):
-                self._ksp.solve(f, x)
-                residual = self._residual(x, f, r) / norm
-                if residual > GOOD_RESIDUAL:
-                    correction = x.duplicate()
-                    self._ksp.solve(r, correction)
+            self.ksp.solve(f, x)
+            residual = self._residual(x, f, r) / norm
+            if residual > GOOD_RESIDUAL:
+                correction = x.duplicate()
+                with destroying(correction):
+                    self.ksp.solve(r, correction)
                     x.axpy(1.0, correction)
-                    correction.destroy()
-                    residual = self._residual(x, f, r) / norm
+                residual = self._residual(x, f, r) / norm
             return x.array.copy(), float(residual)
-        finally:
-            for vector in (f, x, r):
-                vector.destroy()
 
     @property
     def memory(self) -> float:
         """Memory of the factorisation on the rank that needs most, in MB (MUMPS INFOG(21))."""
         return float(self._factor().getMumpsInfog(21))
-
-    def destroy(self) -> None:
-        """Free the factors."""
-        self._ksp.destroy()
 
     def _residual(self, x: Any, f: Any, r: Any) -> float:
         self._A.mult(x, r)
@@ -106,7 +99,7 @@ class DirectSolver:
         return float(r.norm())
 
     def _factor(self) -> Any:
-        return self._ksp.getPC().getFactorMatrix()
+        return self.ksp.getPC().getFactorMatrix()
 
     def _code(self) -> int:
         return int(self._factor().getMumpsInfog(1))
@@ -116,10 +109,8 @@ class DirectSolver:
 def direct_solver(comm: Any) -> Iterator[DirectSolver]:
     """Give a :class:`DirectSolver` and free it at the end."""
     solver = DirectSolver(comm)
-    try:
+    with destroying(solver.ksp):
         yield solver
-    finally:
-        solver.destroy()
 
 
 def _advice(code: int, factor: Any) -> str:

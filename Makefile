@@ -1,0 +1,60 @@
+# make help lists the targets. Another Python with a complex PETSc: make test PYTHON=python3
+SHELL := /bin/bash
+PYTHON = .venv/bin/python
+SETUP := pyproject.toml $(wildcard tools/setup.sh tools/requirements.py tools/constraints-debian.txt)
+# .venv is ours to make; any other Python is its owner's.
+READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
+READY_DOCS := $(if $(READY),.venv/.ready-docs)
+export PYTHON
+
+.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: $(READY) ## install what is missing (Debian packages, .venv)
+
+.venv/.ready: $(SETUP)
+	tools/setup.sh test dev
+	@touch $@
+
+.venv/.ready-docs: .venv/.ready
+	tools/setup.sh docs
+	@touch $@
+
+demo: $(READY) ## prepare 1024 disks, sweep G*(ω) on two ranks, draw it (folder demo/)
+	mpi_runs/demo.sh
+
+test: $(READY) ## all tests but the slow ones, on 1, 2 and 3 ranks
+	tools/test.sh $(PYTHON) 'not slow'
+
+test-fast: $(READY) ## the serial ones of these only
+	RANKS=1 tools/test.sh $(PYTHON) 'not slow'
+
+test-slow: $(READY) ## the slow tests
+	LIMIT=14400 tools/test.sh $(PYTHON) slow
+
+test-newest: ## compile the newest PETSc in .venv-newest (20 minutes), then test with it
+	tools/setup-newest.sh
+	$(MAKE) test PYTHON=.venv-newest/bin/python
+
+lint: $(READY) ## ruff, ruff format, mypy
+	$(PYTHON) -m ruff check
+	$(PYTHON) -m ruff format --check
+	$(PYTHON) -m mypy
+
+format: $(READY) ## let ruff repair and format what it can
+	$(PYTHON) -m ruff check --fix
+	$(PYTHON) -m ruff format
+
+docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
+	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+bench: $(READY) ## time a sweep on 1 and 2 ranks, with PETSc's own log (folder demo/)
+	mpi_runs/bench.sh
+
+clean: ## remove what was built or computed, but not .venv
+	rm -rf docs/_build docs/_generated build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src tests examples -name __pycache__ -prune -exec rm -rf {} +

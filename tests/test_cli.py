@@ -1,0 +1,284 @@
+"""The command as a user types it: what it makes, and how it refuses."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import petscjam as pj
+from petscjam.cli import main
+from petscjam.storage import atomic_h5
+
+DATA = Path(__file__).parent / "data"
+SIXTEEN = DATA / "jambashbulk-N16-P1e-3-0001.txt"
+
+
+@pytest.fixture
+def packing(tmp_path):
+    path = tmp_path / "sixteen.h5"
+    assert main(["import", str(SIXTEEN), "-o", str(path)]) == 0
+    return path
+
+
+def refused(capfd, *arguments):
+    """Run, expect exit status 2 and one line on standard error; return it."""
+    assert main([str(a) for a in arguments]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    return err
+
+
+def test_moduli_are_those_of_the_library(packing, tmp_path):
+    out = tmp_path / "g.h5"
+    assert main(["moduli", str(packing), "--omega", "1e-3:10:5", "--beta", "0.1", "-o", str(out)]) == 0
+    expected = pj.complex_modulus(
+        pj.Packing.read(packing), np.geomspace(1e-3, 10, 5), damping=pj.ContactDamping(0.1)
+    )
+    assert (pj.read_modulus(out).values == expected.values).all()
+
+
+def test_a_result_reads_back_as_it_was_written(packing, tmp_path):
+    from dataclasses import fields
+
+    from petscjam.io.results import append_modulus
+
+    g = pj.complex_modulus(pj.Packing.read(packing), [0.1, 1.0], fields_at=[1.0], name="sixteen")
+    append_modulus(g, tmp_path / "g.h5", "sixteen")
+    back = pj.read_modulus(tmp_path / "g.h5")
+    for item in fields(g):
+        if item.name not in ("geometry", "performance"):
+            assert np.array_equal(getattr(back, item.name), getattr(g, item.name)), item.name
+    assert back.geometry.checksum == g.geometry.checksum
+    assert back.performance["factorisations"] == 2
+
+
+def test_frequencies_as_a_list(packing, tmp_path):
+    out = tmp_path / "g.h5"
+    assert main(["moduli", str(packing), "--omega", "0.5,2,7", "-o", str(out)]) == 0
+    assert pj.read_modulus(out).omega.tolist() == [0.5, 2.0, 7.0]
+
+
+def test_the_figure_is_a_picture_with_the_fields(packing, tmp_path):
+    out, figure = tmp_path / "g.h5", tmp_path / "g.png"
+    main(["moduli", str(packing), "--omega", "1e-3:10:5", "--fields", "1e-3,10", "-o", str(out)])
+    assert main(["plot", str(out), "-o", str(figure)]) == 0
+    from PIL import Image
+
+    width, height = Image.open(figure).size
+    assert height > width  # the moduli above, two rows of fields below
+
+
+def test_table_flags_an_unstable_packing(tmp_path, capsys):
+    grid = 0.99 * np.mgrid[0:4, 0:4].reshape(2, -1).T
+    pj.Packing(grid, np.full(16, 0.5), pj.Box.square(3.96)).write(tmp_path / "lattice.h5")
+    main(["moduli", str(tmp_path / "lattice.h5"), "--omega", "1", "-o", str(tmp_path / "g.h5")])
+    assert "UNSTABLE: G0 < 0" in capsys.readouterr().out
+    assert not pj.read_modulus(tmp_path / "g.h5").stable
+
+
+def test_resume_adds_only_what_is_missing(packing, tmp_path):
+    out, second = tmp_path / "g.h5", tmp_path / "jaxmd.h5"
+    pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc").write(second)
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    with atomic_h5(out, existing=True) as h5:
+        next(iter(h5.values())).attrs["G0"] = 42.0  # a mark, to see that it is not computed again
+    assert main(["moduli", str(packing), str(second), "--omega", "1,2", "-o", str(out), "--resume"]) == 0
+    results = list(pj.read_moduli(out).values())
+    assert sorted(g.packing["particles"] for g in results) == [16, 64]
+    assert 42.0 in [g.G0 for g in results]
+
+
+def test_resume_refuses_other_settings(packing, tmp_path, capfd):
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    capfd.readouterr()
+    assert "beta=0.5" in refused(
+        capfd, "moduli", packing, "--omega", "1,2", "--beta", 0.5, "-o", out, "--resume"
+    )
+    assert "omega" in refused(capfd, "moduli", packing, "--omega", "1,3", "-o", out, "--resume")
+
+
+def test_an_output_that_exists_is_refused_and_kept(packing, tmp_path, capfd):
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    before = out.read_bytes()
+    capfd.readouterr()
+    assert str(out) in refused(capfd, "moduli", packing, "-o", out)
+    assert out.read_bytes() == before
+
+
+def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_path, capfd):
+    out, loose = tmp_path / "g.h5", tmp_path / "loose.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    before = out.read_bytes()
+    p = pj.Packing.read(packing)
+    pj.Packing(p.positions, p.radii / 2, p.box).write(loose)
+    capfd.readouterr()
+    assert "no contacts" in refused(capfd, "moduli", loose, "-o", out, "--overwrite")
+    assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--beta", "-1"], "-1"), (["--damping", "stokes", "--eta-fluid", "-2"], "-2"),
+        (["--omega", "0:1:5"], "0"), (["--omega=-1:1:5"], "-1"), (["--omega", "1:0.1:5"], "1:0.1:5"),
+        (["--omega", "1:10:0"], "1:10:0"), (["--omega", "fast"], "fast"), (["--omega", ""], "''"),
+        (["--bta", "1"], "--beta"), (["--eta-fluid", "1"], "--eta-fluid"), (["--beta", "much"], "much"),
+        (["--damping", "stokes", "--beta", "1"], "--beta"), (["--damping", "glue"], "glue"),
+        (["--strain", "torsion"], "torsion"),
+    ],
+)  # fmt: skip
+def test_bad_options(packing, tmp_path, capfd, options, named):
+    capfd.readouterr()
+    assert named in refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options)
+    assert not (tmp_path / "g.h5").exists()
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def other_schema(path):
+    with atomic_h5(path) as h5:
+        h5["temperature"] = 1.0
+
+
+def not_a_number(path):
+    with atomic_h5(path, existing=True) as h5:
+        h5["particles/trajectory/position/value"][0, 3, 1] = np.nan
+
+
+def negative_radius(path):
+    with atomic_h5(path, existing=True) as h5:
+        h5["particles/trajectory/radius"][3] = -1.0
+
+
+@pytest.mark.parametrize("spoil", [Path.unlink, truncated, other_schema, not_a_number, negative_radius])
+@pytest.mark.parametrize("verb", ["moduli", "info", "export"])
+def test_bad_packings(packing, tmp_path, capfd, spoil, verb):
+    spoil(packing)
+    capfd.readouterr()
+    arguments = {"moduli": ["-o", tmp_path / "g.h5"], "info": [], "export": ["-o", tmp_path / "p.xyz"]}[verb]
+    assert packing.name in refused(capfd, verb, packing, *arguments)
+    assert list(tmp_path.glob("g.h5")) + list(tmp_path.glob("p.xyz")) == []
+
+
+def two_pieces(tmp_path):
+    """Two square lattices, each under pressure, out of each other's reach."""
+    grid = 0.49 * np.mgrid[0:3, 0:3].reshape(2, -1).T
+    far = grid + [0.0, 4.0]
+    path = tmp_path / "pieces.h5"
+    ring = [grid, far]
+    cell = np.array([[3 * 0.49, 0.0], [0.0, 8.0]])
+    pj.Packing(np.concatenate(ring), np.full(18, 0.25), pj.Box(cell)).write(path)
+    return path
+
+
+def test_a_network_in_pieces(tmp_path, capfd):
+    assert "2 pieces" in refused(capfd, "moduli", two_pieces(tmp_path), "-o", tmp_path / "g.h5")
+
+
+def test_disk_full(packing, tmp_path):
+    """A limit on the size of files stands for a full disk; nothing is lost, nothing half-written."""
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    before = out.read_bytes()
+    script = (
+        "import resource, signal, sys; from mpi4py import MPI; from petscjam.cli import main;"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2);"
+        f"sys.exit(main(['moduli', {str(packing)!r}, '--omega', '1,2', '-o', {str(out)!r}, '--overwrite']))"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.splitlines()[-1].startswith(f"petscjam: {out}: ")
+    assert out.read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([out.name, packing.name])
+
+
+def test_prepare_many_seeds_and_resume(tmp_path):
+    folder = tmp_path / "library"
+    arguments = ["prepare", "--particles", "32", "--pressure", "1e-2", "--seeds", "1:2", "-o", str(folder)]
+    assert main(arguments) == 0
+    first = sorted(folder.iterdir())
+    stamps = [os.stat(p).st_mtime_ns for p in first]
+    assert main([*arguments[:6], "1:3", *arguments[7:], "--resume"]) == 0
+    assert len(list(folder.iterdir())) == 3
+    assert [os.stat(p).st_mtime_ns for p in first] == stamps
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [(["--pressure", "-1"], "-1"), (["--particles", "3"], "3"), (["--seeds", "5:1"], "5:1")],
+)
+def test_prepare_refuses(tmp_path, capfd, options, named):
+    assert named in refused(capfd, "prepare", *options, "-o", tmp_path / "p.h5")
+
+
+@pytest.mark.parametrize("verb", ["prepare", "info", "import", "export", "moduli", "plot"])
+def test_help(verb, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([verb, "--help"])
+    assert stop.value.code == 0
+    assert "usage: petscjam" in capsys.readouterr().out
+
+
+def test_petsc_options_reach_petsc(packing, tmp_path):
+    out = tmp_path / "g.h5"
+    command = [sys.executable, "-m", "petscjam", "moduli", packing, "--omega", "1", "-o", out, "--", "-log_view"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert "petscjam: factor" in run.stdout
+
+
+def test_mpirun_gives_the_same_result(packing, tmp_path, mpirun):
+    one, two = tmp_path / "one.h5", tmp_path / "two.h5"
+    assert main(["moduli", str(packing), "--omega", "1e-3:10:5", "-o", str(one)]) == 0
+    run = mpirun(2, "-m", "petscjam", "moduli", packing, "--omega", "1e-3:10:5", "-o", two)
+    assert run.returncode == 0, run.stderr
+    assert pj.read_modulus(two).values == pytest.approx(pj.read_modulus(one).values, rel=1e-10)
+
+
+def test_mpirun_bad_input_ends_every_rank_with_one_message(packing, tmp_path, mpirun):
+    run = mpirun(3, "-m", "petscjam", "moduli", packing, "--beta", "-1", "-o", tmp_path / "g.h5", timeout=60)
+    assert run.returncode == 2
+    assert run.stderr.count("petscjam: ") == 1
+
+
+def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
+    """Rank 1 fails in the middle of a sweep, where rank 0 waits for it."""
+    script = (
+        "import sys; from mpi4py import MPI; import petscjam.response.solver as s; from petscjam.cli import main\n"
+        "solve = s.DirectSolver.solve\n"
+        "def fails(self, rhs):\n"
+        "    if MPI.COMM_WORLD.rank == 1: raise RuntimeError('injected')\n"
+        "    return solve(self, rhs)\n"
+        "s.DirectSolver.solve = fails\n"
+        f"sys.exit(main(['moduli', {str(packing)!r}, '--omega', '1', '-o', {str(tmp_path / 'g.h5')!r}]))"
+    )
+    run = mpirun(2, "-c", script, timeout=30)
+    assert run.returncode == 1
+    assert "RuntimeError: injected" in run.stderr
+    assert "(rank 1 of 2)" in run.stderr
+
+
+def test_a_killed_run_leaves_whole_results(packing, tmp_path):
+    """Kill -9 after the first packing; the file reads, and a second run adds the rest."""
+    out, library = tmp_path / "g.h5", [packing]
+    for index in range(5):
+        library.append(tmp_path / f"jaxmd{index}.h5")
+        pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index).write(library[-1])
+    arguments = ["moduli", *map(str, library), "--omega", "1e-8:1e2:300", "-o", str(out)]
+    run = subprocess.Popen([sys.executable, "-m", "petscjam", *arguments], stderr=subprocess.DEVNULL)
+    while not out.exists():
+        assert run.poll() is None
+    run.kill()
+    run.wait()
+    assert 1 <= len(pj.read_moduli(out)) < len(library)
+    assert main([*arguments, "--resume"]) == 0
+    assert len(pj.read_moduli(out)) == len(library)

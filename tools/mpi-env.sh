@@ -1,0 +1,8 @@
+# Sourced before mpirun. Open MPI 4 reads OMPI_MCA_*, Open MPI 5 PRTE_MCA_*; others ignore both.
+export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1} # one thread a rank
+# More ranks than cores are fine, and two runs side by side must not be bound to the same core.
+export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
+export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
+if [ "$(id -u)" = 0 ]; then # Open MPI refuses to run as root unless told twice
+    export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
+fi
