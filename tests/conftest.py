@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+MPI_ENV = Path(__file__).parents[1] / "tools" / "mpi-env.sh"
 
 # derandomize: every rank must try the same examples. deadline: compiling and MPI take as long as they take.
 settings.register_profile("petscjam", deadline=None, derandomize=True)
@@ -23,16 +25,21 @@ def comm():
 
 
 @pytest.fixture
-def mpirun():
-    """Run this Python under an mpirun of its own: ``mpirun(2, "-m", "petscjam", "--help")``.
+def environment():
+    """Return the environment of Python's start, for subprocesses: ``subprocess.run(…, env=environment)``.
 
-    The environment is that of Python's start: MPI_Init adds variables that make a second mpirun fail, and a
-    subprocess without ``env`` would inherit them.
+    MPI_Init adds variables to the one that a subprocess would inherit, and a second MPI stumbles over them.
     """
-    environment = dict(os.environ)
+    return dict(os.environ)
+
+
+@pytest.fixture
+def mpirun(environment):
+    """Run this Python under an mpirun of its own: ``mpirun(2, "-m", "petscjam", "--help")``."""
+    launch = ["bash", "-c", '. "$0" && exec mpirun -n "$@"', str(MPI_ENV)]
 
     def run(ranks, *arguments, timeout=120, **options):
-        command = ["mpirun", "-n", str(ranks), sys.executable, *map(str, arguments)]
+        command = [*launch, str(ranks), sys.executable, *map(str, arguments)]
         options = {"capture_output": True, "text": True, "env": environment, **options}
         return subprocess.run(command, timeout=timeout, **options)
 

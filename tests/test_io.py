@@ -93,7 +93,13 @@ def test_certificate_comes_back_with_what_was_not_measured(packing, tmp_path):
 
 
 def test_provenance_comes_back(packing, tmp_path):
-    origin = {"seed": np.int64(3), "pressure": 0.1, "by": "Müller", "stable": True, "versions": {"numpy": "2"}}
+    origin = {
+        "seed": np.int64(3),
+        "pressure": 0.1,
+        "by": "Müller",
+        "stable": True,
+        "versions": {"numpy": "2"},
+    }
     replace(packing, provenance=origin).write(tmp_path / "p.h5")
     assert Packing.read(tmp_path / "p.h5").provenance == origin
 

@@ -138,6 +138,30 @@ def test_residuals_are_at_rounding(law):
     assert pj.complex_modulus(jax_md(), OMEGA, damping=law).residuals.max() < 1e-12
 
 
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+def test_storage_modulus_never_falls_with_frequency(law):
+    """K_uu is positive definite here, so each mode only stiffens."""
+    g = pj.complex_modulus(jax_md(), np.geomspace(1e-4, 1e4, 60), damping=law)
+    assert g.negative_modes == 0
+    assert np.diff(g.values.real).min() > -1e-12
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=str)
+@pytest.mark.parametrize("omega", [0.03, 1.0])
+def test_kramers_kronig(law, omega):
+    """H = G* − G∞ − iωη∞ is causal: H′(ω) = −(2/π) ⨍ xH″(x)/(x² − ω²) dx.
+
+    The grid is even in log x and meets ω half-way between two points, where the principal value of
+    the subtracted pole vanishes by symmetry.
+    """
+    step = 0.05
+    x = omega * np.exp(step * (np.arange(-360, 360) + 0.5))
+    g = pj.complex_modulus(sixteen(), [omega, *x], damping=law)
+    H = g.values - g.G_inf - 1j * g.omega * g.eta_inf
+    integrand = (x * H[1:].imag - omega * H[0].imag) / (x**2 - omega**2) * x
+    assert H[0].real == pytest.approx(-2 / np.pi * step * integrand.sum(), abs=1e-6 * g.G_inf)
+
+
 @pytest.mark.parametrize("turns", list(itertools.product([-2, 1], [0, 3])), ids=str)
 @pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag()], ids=str)
 def test_a_tilt_by_whole_lattice_vectors_is_the_same_system(law, turns):
@@ -266,6 +290,43 @@ def test_bad_frequencies_are_refused(omega):
 def test_bad_laws_are_refused(make):
     with pytest.raises(pj.InputError, match="must be ≥ 0"):
         make()
+
+
+def test_workspace_that_is_too_small_is_enlarged(workspace):
+    """MUMPS asked for less than half of what it needs (INFOG(1) = −9): the retry succeeds."""
+    workspace("mat_mumps_icntl_14", -60)
+    g = pj.complex_modulus(triangles(12), [0.1, 1.0], prestress=False)
+    assert g.residuals.max() < 1e-12
+
+
+def test_a_failure_of_mumps_is_explained(workspace):
+    """No more than a megabyte (ICNTL(23)) will not do for this many disks."""
+    workspace("mat_mumps_icntl_23", 1)
+    with pytest.raises(pj.SolverError, match=r"INFOG\(1\) = -\d+"):
+        pj.complex_modulus(triangles(40), [0.1])
+
+
+@pytest.fixture
+def workspace():
+    """Set a PETSc option of the solver, for one test."""
+    from petscjam.parallel.petsc import petsc
+
+    options, names = petsc().Options("petscjam_"), {"mat_mumps_icntl_14"}
+
+    def set_option(name, value):
+        names.add(name)
+        options.setValue(name, value)
+
+    yield set_option
+    for name in names:
+        options.delValue(name)
+
+
+def triangles(n):
+    """A triangular lattice of n × n disks under 1 % of overlap."""
+    a, b = 0.99 * np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    i, j = np.mgrid[0:n, 0:n].reshape(2, -1, 1)
+    return pj.Packing(i * a + j * b, np.full(n * n, 0.5), pj.Box([n * a, n * b]))
 
 
 def test_unknown_strain_is_refused():

@@ -58,8 +58,8 @@ class ContactNetwork:
         distance = np.hypot(r[:, 0], r[:, 1])
         touching = distance <= sigma
         i, j, r, sigma, distance = (a[touching] for a in (i, j, r, sigma, distance))
-        if (distance == 0).any():
-            c = int(np.argmin(distance))
+        if (distance < 1e-12 * sigma).any():  # images of the same point differ by rounding
+            c = int(np.argmin(distance / sigma))
             raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")
         law = packing.potential
         return cls(

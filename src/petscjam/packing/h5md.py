@@ -8,8 +8,8 @@ MDAnalysis looks for the number of particles:
     universe = MDAnalysis.Universe.empty(len(packing), trajectory=True)
     universe.load_new("p.h5", format="H5MD", convert_units=False)
 
-(A program that, like MDAnalysis, keeps only lengths and angles of a cell takes its first edge to lie along x.)
-What H5MD has no place for is in /parameters/petscjam.
+(A program that, like MDAnalysis, keeps only lengths and angles of a cell takes the first edge to lie along
+x.) What H5MD has no place for is in /parameters/petscjam.
 """
 
 from __future__ import annotations

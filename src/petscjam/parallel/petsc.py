@@ -54,7 +54,7 @@ def _prepare_blas() -> None:
     """Set what OpenBLAS reads when PETSc loads it, unless the user has set it.
 
     Ranks are the threads. And an OpenBLAS older than the processor takes it for a Prescott of 2004,
-    which makes MUMPS more than twice as slow (docs/design/0003-openblas-kernel.md): name the kernel.
+    which makes MUMPS more than twice as slow (docs/design/0004-openblas-kernel.md): name the kernel.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")

@@ -15,9 +15,9 @@ from petscjam.errors import SolverError
 from petscjam.kinematics import Field
 from petscjam.parallel.comm import total
 from petscjam.response.dofs import free_motions, sees
-from petscjam.response.matrices import assembled
+from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem, Motion
-from petscjam.response.solver import direct_solver
+from petscjam.response.solver import DirectSolver, direct_solver
 
 LARGEST_RESIDUAL = 1e-8
 SOFT = 1e-9  # weight of friction against stiffness where both hold a degree of freedom
@@ -64,17 +64,12 @@ def zero_frequency(problem: LinearProblem) -> Limit:
     return Limit(problem.modulus(G0).real, problem.viscosity(eta), max(residual, slack))
 
 
-def infinite_frequency(problem: LinearProblem) -> Limit:
-    """Return G∞, η∞: the Schur complement of B, not B_γγ."""
-    dofs = problem.number(problem.active)
-    with (
-        assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm) as solver,
-    ):
-        solver.factor(pencil.combine(0, 1))
-        x, residual = solver.solve(-pencil.b[:, 0])
-        motion: Motion = (dofs.gather(x, problem.comm), _unit(problem))
+def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> Limit:
+    """Return G∞, η∞: the Schur complement of B, not B_γγ; with the pencil and the solver of a sweep."""
+    solver.factor(pencil.combine(0, 1))
+    x, residual = solver.solve(-pencil.b[:, 0])
     _demand(residual, "B is singular (motions without friction)")
+    motion: Motion = (pencil.dofs.gather(x, problem.comm), _unit(problem))
     G = problem.product(problem.K, motion, motion).real
     eta = problem.product(problem.B, motion, motion).real
     return Limit(problem.modulus(G).real, problem.viscosity(eta), residual)

@@ -145,6 +145,7 @@ def complex_modulus(
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
+    notes: list[str] = []
     dofs = problem.number(problem.active)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
@@ -157,11 +158,9 @@ def complex_modulus(
                 fields[kept == frequency] = problem.displacement(q)
             if progress:
                 progress((w + 1) / len(omega), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
-        memory = solver.memory if len(omega) else 0.0
-        factorisations = solver.factorisations
-    notes: list[str] = []
-    low = _limit(zero_frequency, problem, notes, "G0 and η0")
-    high = _limit(infinite_frequency, problem, notes, "G∞ and η∞")
+        memory, factorisations = solver.memory, solver.factorisations
+        high = _limit(lambda: infinite_frequency(problem, pencil, solver), notes, "G∞ and η∞")
+    low = _limit(lambda: zero_frequency(problem), notes, "G0 and η0")
     return ComplexModulus(
         omega, values, residuals, balance,
         low.G, low.eta, high.G, high.eta, np.array([low.residual, high.residual]),
@@ -234,11 +233,9 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     return problem.modulus(energy), abs(schur - energy) / abs(energy)
 
 
-def _limit(
-    solve: Callable[[LinearProblem], Limit], problem: LinearProblem, notes: list[str], what: str
-) -> Limit:
+def _limit(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
     try:
-        return solve(problem)
+        return solve()
     except SolverError as error:
         notes.append(f"{what} could not be had: {error}")
         return Limit(np.nan, np.nan, np.nan)

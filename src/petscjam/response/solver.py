@@ -16,7 +16,8 @@ from petscjam.errors import SolverError
 from petscjam.parallel.petsc import destroying, petsc, stage
 
 OUT_OF_WORKSPACE = (-8, -9)
-LARGEST_EXTRA_WORKSPACE = 2000  # per cent
+LARGEST_WORKSPACE = 2000  # ICNTL(14), per cent above the estimate
+PREFIX = "petscjam_"
 GOOD_RESIDUAL = 1e-12
 
 
@@ -35,7 +36,7 @@ class DirectSolver:
         self.factorisations = 0
         self._A: Any = None
         self.ksp = PETSc.KSP().create(comm)
-        self.ksp.setOptionsPrefix("petscjam_")
+        self.ksp.setOptionsPrefix(PREFIX)
         self.ksp.setType(PETSc.KSP.Type.PREONLY)
         pc = self.ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY)
@@ -49,21 +50,19 @@ class DirectSolver:
         SolverError
             If MUMPS fails, with its code and advice.
         """
-        first = self._A is None
-        self._A = A
         self.ksp.setOperators(A, A)
-        if first:
+        if self._A is None:
             self.ksp.setFromOptions()
+        self._A = A
         with stage("factor"):
             self.ksp.setUp()
-            code, workspace = self._code(), 20
-            while code in OUT_OF_WORKSPACE and workspace < LARGEST_EXTRA_WORKSPACE:
-                workspace = max(4 * self._factor().getMumpsIcntl(14), 80)
-                self._factor().setMumpsIcntl(14, workspace)
-                A.stateIncrease()
+            while (code := self._code()) in OUT_OF_WORKSPACE and self._workspace() < LARGEST_WORKSPACE:
+                # PETSc does not factor again where MUMPS has failed; start from the analysis
+                workspace = max(4 * self._workspace(), 100)
+                petsc().Options(PREFIX).setValue("mat_mumps_icntl_14", workspace)
+                self.ksp.reset()
                 self.ksp.setOperators(A, A)
                 self.ksp.setUp()
-                code = self._code()
         self.factorisations += 1
         if code < 0:
             raise SolverError(f"MUMPS could not factor the matrix: {_advice(code, self._factor())}")
@@ -100,6 +99,9 @@ class DirectSolver:
 
     def _factor(self) -> Any:
         return self.ksp.getPC().getFactorMatrix()
+
+    def _workspace(self) -> int:
+        return int(self._factor().getMumpsIcntl(14))
 
     def _code(self) -> int:
         return int(self._factor().getMumpsInfog(1))
