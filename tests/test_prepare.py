@@ -152,7 +152,7 @@ def test_neighbour_list_never_misses_a_contact():
 def test_budget_spent_is_an_error_that_says_where_it_stands():
     packing = random_disks(16, 0.9)
     h = Enthalpy(packing.radii, packing.box.cell[0, 0], P, budget=10)
-    with pytest.raises(SolverError, match=r"after 10 force evaluations; the largest force is .* \(target 0.001"):
+    with pytest.raises(SolverError, match=r"after 10 force evaluations; .* \(target 0.001"):
         METHODS["cg"](h, np.append(packing.positions, 0.0), lambda h: False)
 
 
@@ -186,8 +186,9 @@ def test_hessian_is_the_derivative_of_the_force_to_second_order():
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (dict(n=7), "7"), (dict(n=64.5), "64.5"), (dict(pressure=0), "not 0"), (dict(pressure=-1e-3), "-0.001"),
-        (dict(pressure=0.7), "0.7"), (dict(pressure=np.nan), "nan"), (dict(pressure=np.inf), "inf"),
+        (dict(n=7), "7"), (dict(n=64.5), "64.5"), (dict(pressure=0), "not 0"),
+        (dict(pressure=-1e-3), "-0.001"), (dict(pressure=0.7), "0.7"), (dict(pressure=np.nan), "nan"),
+        (dict(pressure=np.inf), "inf"),
         (dict(pressure=1e-12), "1e-12"), (dict(pressure="1e-3"), "'1e-3'"), (dict(seed=-1), "-1"),
         (dict(seed=1.5), "1.5"), (dict(method="newton"), "'newton'"), (dict(potential_name="lj"), "'lj'"),
         (dict(shear_stabilised=True), "shear_stabilised"),

@@ -119,4 +119,4 @@ def viscous_form(network: ContactNetwork, strains: Sequence[StrainMode], law: Da
     rows = contact_rows(network, strains, at_contact_point=law.at_contact_point)
     weights = np.tile([law.normal, law.tangential], (len(network), 1))
     fluid = np.diag([law.fluid * network.area * mode.shears_fluid for mode in strains])
-    return whole_form(network, rows, weights, law.body, fluid)
+    return whole_form(rows, weights, len(network.radii), law.body, fluid)

@@ -7,8 +7,8 @@ a tangential relative displacement (PHYSICS of BT eqs. 4–6, signs of docs/theo
 
 Everything linear is a weighted sum of squares of these: see :class:`Form`.
 
-Axes: c contact, k normal/tangential, m local degree of freedom (ux, uy, θ of i, then of j),
-s strain mode, i disk, d degree of freedom of a disk (ux, uy, θ), x Cartesian.
+Axes: c contact, k normal/tangential, a row (c and k), s strain mode, i disk,
+d degree of freedom of a disk (ux, uy, θ), x Cartesian.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from petscjam.box import Array, Integers
+from petscjam.box import Array
 from petscjam.errors import InputError
 from petscjam.network import ContactNetwork
 
 Field = NDArray[np.complex128]
+Motion = tuple[Field, Sequence[complex]]  # (q, s): every disk beyond the affine motion, and the strains
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,26 +75,24 @@ def strain_mode(name: str) -> StrainMode:
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """The quadratic form Σ_c Σ_k w_ck (A_ck·q + a_ck·s)² + body Σ_i |u_i|² + s·extra·s.
+    """The quadratic form Σ_a w_a (A_a·q + a_a·s)² + body Σ_i |u_i|² + s·extra·s.
 
     K and B are both of this kind. A rank holds its :meth:`share`: the contacts that touch its disks;
     ``mine`` and ``my_disks`` mark what it counts in sums over the whole system.
 
     Attributes
     ----------
-    i, j : (C,)
-    rows : (C, 2, 6)
-    strain_rows : (C, 2, S)
-    weights : (C, 2)
+    rows : sparse (A, 3N)
+        Normal and tangential row of each contact, over (ux, uy, θ) of every disk.
+    strain_rows : (A, S)
+    weights : (A,)
     body : float
     extra : (S, S)
-    mine : (C,) bool
+    mine : (A,) bool
     my_disks : (N,) bool
     """
 
-    i: Integers
-    j: Integers
-    rows: Array
+    rows: csr_array
     strain_rows: Array
     weights: Array
     body: float
@@ -100,79 +100,69 @@ class Form:
     mine: NDArray[np.bool_]
     my_disks: NDArray[np.bool_]
 
-    def share(self, my_disks: NDArray[np.bool_]) -> Form:
-        """Return the part of a whole form that the owner of ``my_disks`` (N,) needs."""
-        touching = my_disks[self.i] | my_disks[self.j]
-        i, j, rows, strain_rows, weights = (
-            a[touching] for a in (self.i, self.j, self.rows, self.strain_rows, self.weights)
-        )
-        return Form(i, j, rows, strain_rows, weights, self.body, self.extra, my_disks[i], my_disks)
+    def share(self, my_disks: NDArray[np.bool_], network: ContactNetwork) -> Form:
+        """Return the part of the whole form of ``network`` that the owner of ``my_disks`` (N,) needs."""
+        first = np.repeat(my_disks[network.i], 2)
+        touching = first | np.repeat(my_disks[network.j], 2)
+        rows, strain_rows, weights = self.rows[touching], self.strain_rows[touching], self.weights[touching]
+        return Form(rows, strain_rows, weights, self.body, self.extra, first[touching], my_disks)
 
     def relative(self, q: Field, s: Sequence[complex]) -> Field:
-        """Return Δu∥ and Δu⊥ of each contact, (C, 2), for the motion ``q`` (N, 3) at strains ``s``."""
-        local = np.concatenate([q[self.i], q[self.j]], axis=1)
-        return np.einsum("ckm,cm->ck", self.rows, local) + self.strain_rows @ np.asarray(s)
+        """Return Δu∥ and Δu⊥ of each contact, (A,), for the motion ``q`` (N, 3) at strains ``s`` (S,)."""
+        parts = np.ascontiguousarray(q, dtype=complex).view(float).reshape(-1, 2)  # real and imaginary
+        return (self.rows @ parts).view(complex)[:, 0] + self.strain_rows @ np.asarray(s)
 
-    def product(self, left: tuple[Field, Sequence], right: tuple[Field, Sequence]) -> complex:
+    def product(self, left: Motion, right: Motion) -> complex:
         """Return this rank's share of ⟨left, form right⟩; each side is (q, s), the left conjugated."""
         (ql, sl), (qr, sr) = left, right
-        contacts = np.sum(
-            (self.weights * self.relative(ql, sl).conj() * self.relative(qr, sr))[self.mine]
-        )
+        contacts = np.vdot(self.relative(ql, sl)[self.mine], (self.weights * self.relative(qr, sr))[self.mine])
         body = self.body * np.vdot(ql[self.my_disks, :2], qr[self.my_disks, :2])
         cell = self.my_disks[0] * (np.conj(sl) @ self.extra @ np.asarray(sr))
         return complex(contacts + body + cell)
 
     def apply(self, q: Field, s: Sequence[complex]) -> Field:
         """Return this rank's share of the generalised force on every disk, (N, 3)."""
-        pull = np.einsum("ckm,ck->cm", self.rows, self.weights * self.relative(q, s))[self.mine]
-        force = np.zeros((len(q), 3), dtype=complex)
-        np.add.at(force, self.i[self.mine], pull[:, :3])
-        np.add.at(force, self.j[self.mine], pull[:, 3:])
+        force = (self.rows.T @ (self.mine * self.weights * self.relative(q, s))).reshape(-1, 3)
         force[self.my_disks, :2] += self.body * q[self.my_disks, :2]
         return force
 
     def diagonal(self) -> Array:
-        """Return this rank's share of the diagonal, (N, 3)."""
-        squares = np.einsum("ckm,ck->cm", self.rows**2, np.abs(self.weights))[self.mine]
-        total = np.zeros((len(self.my_disks), 3))
-        np.add.at(total, self.i[self.mine], squares[:, :3])
-        np.add.at(total, self.j[self.mine], squares[:, 3:])
+        """Return this rank's share of Σ|w|A² + body, the diagonal without cancellations, (N, 3)."""
+        total = (self.rows.power(2).T @ (self.mine * np.abs(self.weights))).reshape(-1, 3)
         total[self.my_disks, :2] += self.body
         return total
-
-    def blocks(self) -> Array:
-        """Return the 6×6 matrix of each contact, (C, 6, 6)."""
-        return np.einsum("ckm,ck,ckn->cmn", self.rows, self.weights, self.rows)
-
-    def forcing(self) -> Array:
-        """Return the column of each strain mode by contact, (C, 6, S)."""
-        return np.einsum("ckm,ck,cks->cms", self.rows, self.weights, self.strain_rows)
 
 
 def contact_rows(
     network: ContactNetwork, strains: Sequence[StrainMode], *, at_contact_point: bool
-) -> tuple[Array, Array]:
-    """Return the rows (C, 2, 6) and their strain columns (C, 2, S)."""
+) -> tuple[csr_array, Array]:
+    """Return the rows, sparse (2C, 3N), normal and tangential in turn, and their strain columns (2C, S)."""
     n = network.normal
     t = np.stack([-n[:, 1], n[:, 0]], axis=1)
     arms = at_contact_point * network.radii
-    rows = np.zeros((len(network), 2, 6))
+    values = np.zeros((len(network), 2, 6))
     for k, direction in enumerate((n, t)):
-        rows[:, k, 0:2] = -direction
-        rows[:, k, 3:5] = direction
-    rows[:, 1, 2] = -arms[network.i]
-    rows[:, 1, 5] = -arms[network.j]
+        values[:, k, 0:2] = -direction
+        values[:, k, 3:5] = direction
+    values[:, 1, 2] = -arms[network.i]
+    values[:, 1, 5] = -arms[network.j]
+    local = np.arange(3)
+    columns = np.concatenate([3 * network.i[:, None] + local, 3 * network.j[:, None] + local], axis=1)
+    rows = csr_array(
+        (values.ravel(), np.repeat(columns, 2, axis=0).ravel(), np.arange(0, values.size + 1, 6)),
+        shape=(2 * len(network), 3 * len(network.radii)),
+    )
+    rows.sum_duplicates()  # a disk that touches its own image
     affine = np.stack([network.r @ mode.gradient.T for mode in strains], axis=-1)
-    return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine)
+    return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine).reshape(-1, len(strains))
 
 
 def whole_form(
-    network: ContactNetwork, rows: tuple[Array, Array], weights: Array, body: float, extra: Array
+    rows: tuple[csr_array, Array], weights: Array, disks: int, body: float, extra: Array
 ) -> Form:
-    """Return the form of the whole system, before it is shared among ranks."""
-    contacts, disks = np.ones(len(network), dtype=bool), np.ones(len(network.radii), dtype=bool)
-    return Form(network.i, network.j, *rows, weights, body, extra, contacts, disks)
+    """Return the form of the whole system, before it is shared among ranks; ``weights`` (C, 2)."""
+    everything = np.ones(weights.size, dtype=bool), np.ones(disks, dtype=bool)
+    return Form(*rows, weights.ravel(), body, extra, *everything)
 
 
 def elastic_form(network: ContactNetwork, strains: Sequence[StrainMode], *, prestress: bool) -> Form:
@@ -182,4 +172,4 @@ def elastic_form(network: ContactNetwork, strains: Sequence[StrainMode], *, pres
     weights = np.stack([network.stiffness, transverse], axis=1)
     # a nonlinear F(s) adds the first derivative of the energy, −Σ f n·F″r
     second = [-network.area * np.sum(network.stress * mode.curvature) for mode in strains]
-    return whole_form(network, rows, weights, 0.0, prestress * np.diag(second))
+    return whole_form(rows, weights, len(network.radii), 0.0, prestress * np.diag(second))

@@ -72,6 +72,10 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("certify: the factorisation of K exchanged rows; its pivots do not count modes")
     rounding = eps * (abs(lu.L) @ (abs(lu.U) @ np.ones(K.shape[0]))).max()
+    if rounding > shift:
+        raise SolverError(
+            f"certify: the factorisation of K rounds by up to {rounding:.1e}, its shift is only {shift:.1e}"
+        )
     return int((lu.U.diagonal() < 0).sum())
 
 

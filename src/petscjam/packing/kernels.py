@@ -10,7 +10,7 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-def]
+def gradient(x, scale, i, j, image, sigma, k, out):
     """Elastic energy U = Σ ½k(σ − r)² of the pairs of a list that overlap, and its gradient.
 
     Parameters
@@ -60,7 +60,7 @@ def gradient(x, scale, i, j, image, sigma, k, out):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def farthest(x, x0):  # type: ignore[no-untyped-def]
+def farthest(x, x0):
     """Largest distance between a row of ``x`` (N, 2) and the same row of ``x0`` (N, 2)."""
     largest = 0.0
     for a in range(len(x)):

@@ -63,6 +63,7 @@ class Enthalpy:
         self.law = potential(potential_name)
         self.budget, self.report = budget, report
         self.evaluations = 0
+        self.energy = self.pressure = self.force = float("nan")
         self._built: tuple[Array, float] | None = None
 
     def unpack(self, z: Array) -> tuple[Array, float]:
@@ -129,7 +130,7 @@ def conjugate_gradients(h: Enthalpy, z: Array, done: Done) -> Array:
     while not done(h):
         if g @ d >= 0:
             d = -g
-        z, g_new, step = _line_minimum(h, z, d, g @ d, step)
+        z, g_new, step = _line_minimum(h, z, d, float(g @ d), step)
         beta = max(0.0, float(g_new @ (g_new - g) / (g @ g)))
         g, d = g_new, beta * d - g_new
     return z

@@ -96,9 +96,7 @@ def prepare_packing(
         "n": int(n), "pressure": float(pressure), "seed": int(seed), "method": method,
         "evaluations": energy.evaluations + enthalpy.evaluations,
     }  # fmt: skip
-    packing = certify(
-        Packing(box.wrap(scale * x), radii, box, potential_name, provenance=made_by), pressure
-    )
+    packing = certify(Packing(box.wrap(scale * x), radii, box, potential_name, provenance=made_by), pressure)
     if progress is not None:
         progress(1.0, f"largest force {enthalpy.force:.1e}, pressure {enthalpy.pressure:.4e}")
     return packing
@@ -117,7 +115,7 @@ def _check(n: int, pressure: float, seed: int, shear_stabilised: bool, method: s
     if not isinstance(n, Integral) or n < 8:
         raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {n!r}")
     if not isinstance(pressure, Real) or not 0 < pressure < 0.5:
-        raise InputError(f"prepare: the pressure must be above 0 and below 0.5 (units of k), not {pressure!r}")
+        raise InputError(f"prepare: the pressure must be above 0 and below 0.5 (in k), not {pressure!r}")
     lowest = 1e6 * _rounding_floor(n**0.5)
     if pressure < lowest:
         raise InputError(

@@ -72,6 +72,14 @@ class Dofs:
         return cls(index, counts.astype(np.int64))
 
     @property
+    def flat(self) -> Integers:
+        """Place of each unknown among all degrees of freedom, (unknowns,)."""
+        places = np.empty(self.size, dtype=np.int64)
+        used = self.index >= 0
+        places[self.index[used]] = np.flatnonzero(used)
+        return places
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
         return int(self.counts.sum())
@@ -129,7 +137,7 @@ def free_motions(network: ContactNetwork) -> list[Field]:
 
 def sees(B: Form, motion: Field, comm: Any) -> bool:
     """Tell whether B resists ``motion``, beyond rounding."""
-    still = np.zeros(B.strain_rows.shape[2])
+    still = np.zeros(len(B.extra))
     dissipated = total(comm, B.product((motion, still), (motion, still))).real
     separately = np.sum(total(comm, B.diagonal()) * np.abs(motion) ** 2)
     return bool(dissipated > 1e-20 * separately)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
-from petscjam.kinematics import Field
+from petscjam.kinematics import Field, Motion
 from petscjam.parallel.comm import total
 from petscjam.response.dofs import free_motions, sees
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.problem import LinearProblem, Motion
+from petscjam.response.problem import LinearProblem
 from petscjam.response.solver import DirectSolver, direct_solver
 
 LARGEST_RESIDUAL = 1e-8

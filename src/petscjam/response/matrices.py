@@ -2,7 +2,7 @@
 
 Each rank builds the rows it owns from the contacts that touch its disks; nothing is communicated.
 
-Axes: c contact, m local degree of freedom, s strain mode.
+Axes: a row of a contact, s strain mode.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from petscjam.kinematics import Form
 from petscjam.parallel.petsc import destroying, petsc, stage
@@ -50,51 +51,32 @@ class Pencil:
 
 @contextmanager
 def assembled(K: Form, B: Form, dofs: Dofs, comm: Any) -> Iterator[Pencil]:
-    """Assemble this rank's rows of ``K`` and ``B``, two forms on the same contacts.
-
-    The matrices are destroyed on leaving the context.
-    """
+    """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context."""
     start, stop = dofs.rows_of(comm.rank)
-    ends = np.concatenate([dofs.index[K.i], dofs.index[K.j]], axis=1)  # (C, 6)
     with stage("assemble"):
-        # K and B are real: as K + iB they share one pattern and one sum over duplicates
-        rows = _own_rows(ends, K.blocks() + 1j * B.blocks(), _drag(B, dofs, start, stop), start, dofs.size)
-        columns = np.zeros((stop - start, K.extra.shape[0]), dtype=complex)
-        own = (ends >= start) & (ends < stop)
-        np.add.at(columns, ends[own] - start, (K.forcing() + 1j * B.forcing())[own])
+        K_rows, k = _own_rows(K, dofs, start, stop)
+        B_rows, b = _own_rows(B, dofs, start, stop)
+        both = (K_rows + 1j * B_rows).tocsr()  # K and B are real: as K + iB they share one pattern
+        both.sort_indices()
         stiffness, friction, combination = (
-            _matrix(rows.indptr, rows.indices, part, dofs, comm)
-            for part in (rows.data.real, rows.data.imag, rows.data)
+            _matrix(both.indptr, both.indices, part, dofs, comm)
+            for part in (both.data.real, both.data.imag, both.data)
         )
     with destroying(stiffness, friction, combination):
-        yield Pencil(dofs, stiffness, friction, combination, columns.real, columns.imag)
+        yield Pencil(dofs, stiffness, friction, combination, k, b)
 
 
-def _drag(B: Form, dofs: Dofs, start: int, stop: int) -> NDArray:
-    """Return the body term of this rank's rows, as an imaginary diagonal."""
-    drag = np.zeros(stop - start, dtype=complex)
-    own = dofs.index[B.my_disks, :2]
-    drag[own[own >= 0] - start] = 1j * B.body
-    return drag
-
-
-def _own_rows(ends: NDArray, blocks: NDArray, diagonal: NDArray, start: int, n: int) -> Any:
-    """Sum the 6×6 ``blocks`` and the ``diagonal`` into this rank's rows, a SciPy CSR matrix."""
-    from scipy.sparse import coo_matrix
-
-    count = len(diagonal)
-    row = np.broadcast_to(ends[:, :, None] - start, blocks.shape)
-    column = np.broadcast_to(ends[:, None, :], blocks.shape)
-    mine = (row >= 0) & (row < count) & (column >= 0) & (ends >= 0)[:, :, None]
-    here = np.arange(count)
-    entries = coo_matrix(
-        (
-            np.concatenate([blocks[mine], diagonal]),
-            (np.concatenate([row[mine], here]), np.concatenate([column[mine], here + start])),
-        ),
-        shape=(count, n),
-    )
-    return entries.tocsr()
+def _own_rows(form: Form, dofs: Dofs, start: int, stop: int) -> tuple[csr_array, NDArray]:
+    """Return this rank's rows of Σ AᵀwA + body, and of Σ Aᵀwa."""
+    A = form.rows[:, dofs.flat]
+    mine = A[:, start:stop].T.tocsr()
+    body = np.zeros(stop - start)
+    own = dofs.index[form.my_disks, :2]
+    body[own[own >= 0] - start] = form.body
+    here = np.arange(stop - start)
+    drag = csr_array((body, (here, here + start)), shape=(stop - start, dofs.size))
+    weighted = A.multiply(form.weights[:, None]).tocsr()
+    return mine @ weighted + drag, mine @ (form.weights[:, None] * form.strain_rows)
 
 
 def _matrix(indptr: NDArray, indices: NDArray, values: NDArray, dofs: Dofs, comm: Any) -> Any:

@@ -1,8 +1,4 @@
-"""A packing, a law and strain modes, made ready for a communicator: the forms K and B and who owns what.
-
-Motions are pairs (q, s): the degrees of freedom of every disk (N, 3) beyond the affine motion, and the
-strains (S,).
-"""
+"""A packing, a law and strain modes, made ready for a communicator: the forms K and B and who owns what."""
 
 from __future__ import annotations
 
@@ -13,13 +9,11 @@ import numpy as np
 
 from petscjam.damping import DampingLaw, viscous_form
 from petscjam.errors import InputError
-from petscjam.kinematics import Field, Form, StrainMode, elastic_form
+from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import total
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
-
-Motion = tuple[Field, Sequence[complex]]
 
 
 class LinearProblem:
@@ -48,7 +42,8 @@ class LinearProblem:
 
         def forms(network: ContactNetwork) -> tuple[Form, Form]:
             K = elastic_form(network, strains, prestress=prestress)
-            return K.share(my_disks), viscous_form(network, strains, law).share(my_disks)
+            B = viscous_form(network, strains, law)
+            return K.share(my_disks, network), B.share(my_disks, network)
 
         self.K, self.B = forms(self.network)
         self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)
