@@ -69,7 +69,9 @@ def state(g: ComplexModulus) -> str:
     faults = []
     if not g.G0 > 0:
         faults.append("G0 < 0" if g.G0 < 0 else "G0 unknown")
-    if g.negative_modes:
+    if g.negative_modes is None:
+        faults.append("negative modes not counted")
+    elif g.negative_modes:
         faults.append(f"{g.negative_modes} negative modes")
     return f"UNSTABLE: {', '.join(faults)}" if faults else "stable"
 

@@ -153,7 +153,7 @@ def _value(node: Any, name: str) -> Any:
         return tuple(node.attrs[name].splitlines())
     if name in node:
         return _attributes(node[name].attrs.items()) if hasattr(node[name], "keys") else node[name][()]
-    return _plain(node.attrs[name])
+    return _plain(node.attrs[name]) if name != "negative_modes" else _plain(node.attrs.get(name))
 
 
 def _attributes(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:

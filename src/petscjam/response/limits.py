@@ -30,6 +30,11 @@ class Limit(NamedTuple):
     eta: float
     residual: float
 
+    @classmethod
+    def unknown(cls) -> Limit:
+        """Return the limit that could not be had."""
+        return cls(np.nan, np.nan, np.nan)
+
 
 def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     """Return the displacements (S, N, 3) that relax the energy at unit strain, and the worst residual.

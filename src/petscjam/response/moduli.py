@@ -8,7 +8,7 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,7 @@ from petscjam.response.problem import LinearProblem
 from petscjam.response.solver import DirectSolver, direct_solver
 
 Progress = Callable[[float, str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,8 @@ class ComplexModulus:
         ω → ∞: G′ and G″/ω.
     limit_residuals : (2,)
         Residuals of the solves for the two limits.
-    negative_modes : int
-        Negative eigenvalues of K on the pinned backbone.
+    negative_modes : int or None
+        Negative eigenvalues of K on the pinned backbone; None where a note says why.
     strain, damping : str
     prestress : bool
     packing : dict
@@ -77,7 +78,7 @@ class ComplexModulus:
     G_inf: float
     eta_inf: float
     limit_residuals: Array
-    negative_modes: int
+    negative_modes: int | None
     strain: str
     damping: str
     prestress: bool
@@ -159,13 +160,14 @@ def complex_modulus(
             if progress:
                 progress((w + 1) / len(omega), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
         memory, factorisations = solver.memory, solver.factorisations
-        high = _limit(lambda: infinite_frequency(problem, pencil, solver), notes, "G∞ and η∞")
-    low = _limit(lambda: zero_frequency(problem), notes, "G0 and η0")
+        high = _or(Limit.unknown(), lambda: infinite_frequency(problem, pencil, solver), "G∞ and η∞", notes)
+    low = _or(Limit.unknown(), lambda: zero_frequency(problem), "G0 and η0", notes)
+    modes = _or(None, lambda: on_root(comm, lambda: negative_modes(problem.backbone, prestress)),
+                "the number of negative modes", notes)  # fmt: skip
     return ComplexModulus(
         omega, values, residuals, balance,
         low.G, low.eta, high.G, high.eta, np.array([low.residual, high.residual]),
-        on_root(comm, lambda: negative_modes(problem.backbone, prestress=prestress)),
-        strain, str(law), prestress, describe(packing, problem.backbone, name), tuple(notes),
+        modes, strain, str(law), prestress, describe(packing, problem.backbone, name), tuple(notes),
         kept, fields, packing if len(kept) else None,
         {"factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
          "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)},
@@ -233,9 +235,9 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     return problem.modulus(energy), abs(schur - energy) / abs(energy)
 
 
-def _limit(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
+def _or(otherwise: T, solve: Callable[[], T], what: str, notes: list[str]) -> T:
     try:
         return solve()
     except SolverError as error:
         notes.append(f"{what} could not be had: {error}")
-        return Limit(np.nan, np.nan, np.nan)
+        return otherwise
