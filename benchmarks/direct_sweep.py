@@ -52,6 +52,7 @@ def superlu(A, f):
 
 
 def main():
+    """Measure and print."""
     comm, PETSc = MPI.COMM_WORLD, petsc()
     packing = pj.Packing.read(sys.argv[1])
     count = int(sys.argv[2]) if len(sys.argv) > 2 else 61

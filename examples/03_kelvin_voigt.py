@@ -1,4 +1,4 @@
-"""Without tangential damping the critical regime is gone: G* = G0(1 + iωτ1), a Kelvin–Voigt solid (BT eq. 18).
+"""Without tangential damping the critical regime is gone: G* = G0(1 + iωτ1), Kelvin–Voigt (BT eq. 18).
 
 Exact without pre-stress, for every packing; with it, nearly so (BT Fig. 4a).
 

@@ -171,11 +171,10 @@ def test_bad_packings(packing, tmp_path, capfd, spoil, verb):
 def two_pieces(tmp_path):
     """Two square lattices, each under pressure, out of each other's reach."""
     grid = 0.49 * np.mgrid[0:3, 0:3].reshape(2, -1).T
-    far = grid + [0.0, 4.0]
+    far = grid + np.array([0.0, 4.0])
     path = tmp_path / "pieces.h5"
-    ring = [grid, far]
     cell = np.array([[3 * 0.49, 0.0], [0.0, 8.0]])
-    pj.Packing(np.concatenate(ring), np.full(18, 0.25), pj.Box(cell)).write(path)
+    pj.Packing(np.concatenate([grid, far]), np.full(18, 0.25), pj.Box(cell)).write(path)
     return path
 
 
@@ -230,8 +229,10 @@ def test_help(verb, capsys):
 
 def test_petsc_options_reach_petsc(packing, tmp_path):
     out = tmp_path / "g.h5"
-    command = [sys.executable, "-m", "petscjam", "moduli", packing, "--omega", "1", "-o", out, "--", "-log_view"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    arguments = ["moduli", packing, "--omega", "1", "-o", out, "--", "-log_view"]
+    run = subprocess.run(
+        [sys.executable, "-m", "petscjam", *arguments], capture_output=True, text=True, timeout=120
+    )
     assert run.returncode == 0, run.stderr
     assert "petscjam: factor" in run.stdout
 
@@ -253,7 +254,8 @@ def test_mpirun_bad_input_ends_every_rank_with_one_message(packing, tmp_path, mp
 def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
     """Rank 1 fails in the middle of a sweep, where rank 0 waits for it."""
     script = (
-        "import sys; from mpi4py import MPI; import petscjam.response.solver as s; from petscjam.cli import main\n"
+        "import sys; from mpi4py import MPI; import petscjam.response.solver as s\n"
+        "from petscjam.cli import main\n"
         "solve = s.DirectSolver.solve\n"
         "def fails(self, rhs):\n"
         "    if MPI.COMM_WORLD.rank == 1: raise RuntimeError('injected')\n"

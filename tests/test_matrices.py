@@ -8,7 +8,7 @@ import pytest
 
 import petscjam as pj
 from petscjam import reference
-from petscjam.kinematics import STRAINS, SIMPLE_SHEAR, strain_mode
+from petscjam.kinematics import SIMPLE_SHEAR, STRAINS, strain_mode
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
 

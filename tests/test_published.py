@@ -102,4 +102,6 @@ def test_symmetric_and_simple_shear_differ_by_the_pressure(sixteen):
     p = pj.ContactNetwork.of(packing).stress
     simple = pj.complex_modulus(packing, [1.0]).G0
     assert simple == pytest.approx(0.2071122, abs=5e-8)
-    assert pj.elastic_constants(packing)[2, 2] - simple == pytest.approx((3 * p[1, 1] - p[0, 0]) / 4, rel=1e-10)
+    assert pj.elastic_constants(packing)[2, 2] - simple == pytest.approx(
+        (3 * p[1, 1] - p[0, 0]) / 4, rel=1e-10
+    )

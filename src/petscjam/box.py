@@ -19,7 +19,7 @@ Integers = NDArray[np.int64]
 
 def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray:
     """Return a read-only copy of ``values``."""
-    array = np.array(values, dtype=dtype)
+    array: NDArray = np.array(values, dtype=dtype)
     array.flags.writeable = False
     return array
 

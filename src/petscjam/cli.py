@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from petscjam.errors import InputError, SolverError
+from petscjam.parallel.comm import exit_together, on_root
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -18,11 +19,11 @@ RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 class Parser(argparse.ArgumentParser):
     """An argument parser that answers a mistake with one line."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(*args, allow_abbrev=False, **kwargs)
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**{"allow_abbrev": False, **kwargs})
 
     def error(self, message: str) -> NoReturn:
+        """Raise instead of printing the usage."""
         raise InputError(f"{self.prog}: {message}")
 
 
@@ -35,22 +36,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return run(argv, MPI.COMM_WORLD)
     except InputError as error:
-        return exit_with(leaving, 2, f"petscjam: {error}")
+        return exit_together(leaving, 2, f"petscjam: {error}")
     except SolverError as error:
-        return exit_with(leaving, 1, f"petscjam: {error}")
+        return exit_together(leaving, 1, f"petscjam: {error}")
     except KeyboardInterrupt:
-        return exit_with(leaving, 1, "petscjam: interrupted")
+        return exit_together(leaving, 1, "petscjam: interrupted")
     except Exception:
-        return exit_with(leaving, 1, traceback.format_exc())
+        return exit_together(leaving, 1, traceback.format_exc())
     finally:
         leaving.Free()
-
-
-def exit_with(comm: Any, code: int, message: str) -> int:
-    """Print ``message`` once and leave on every rank."""
-    from petscjam.parallel.comm import exit_together
-
-    return exit_together(comm, code, message)
 
 
 def run(argv: list[str], comm: Any) -> int:
@@ -113,7 +107,9 @@ def build_parser() -> Parser:
     p.add_argument("--damping", choices=["contact", "stokes"], default="contact",
                    help="viscous force law (default contact)")  # fmt: skip
     p.add_argument("--beta", type=number, help="contact: tangential over normal damping (default 1)")
-    p.add_argument("--no-rotations", action="store_true", help="contact: damp at the centres, disks do not roll")
+    p.add_argument(
+        "--no-rotations", action="store_true", help="contact: damp at the centres, without rolling"
+    )
     p.add_argument("--eta-fluid", type=number, help="stokes: viscosity of the fluid, in k tau1 (default 1)")
     p.add_argument("--strain", choices=["simple-shear", "pure-shear", "compression"], default="simple-shear",
                    help="mode of deformation (default simple-shear)")  # fmt: skip
@@ -186,7 +182,7 @@ def frequencies(text: str) -> Any:
             raise InputError(f"omega: the range {text} is empty")
         if int(count) == 1 and ends[0] != ends[1]:
             raise InputError(f"omega: the range {text} has two ends but one point")
-        return np.geomspace(*ends, int(count))
+        return np.geomspace(ends[0], ends[1], int(count))
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     except ValueError:
@@ -206,13 +202,6 @@ def law(options: argparse.Namespace) -> Any:
     return StokesDrag(1.0 if options.eta_fluid is None else options.eta_fluid)
 
 
-def alone(comm: Any, work: Callable[[], Any]) -> Any:
-    """Do serial ``work`` on rank 0; an error reaches every rank."""
-    from petscjam.parallel.comm import on_root
-
-    return on_root(comm, work)
-
-
 def say(comm: Any, text: str) -> None:
     """Print on rank 0."""
     if comm.rank == 0:
@@ -223,7 +212,7 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
     """Deal the seeds to the ranks."""
     from petscjam.packing.packing import Packing
     from petscjam.packing.prepare import prepare_packing
-    from petscjam.progress import progress
+    from petscjam.progress import part, progress
     from petscjam.storage import refuse_existing
 
     many, target = options.seeds or [options.seed], options.output
@@ -231,23 +220,33 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
     names = {seed: f"N{options.particles}_p{options.pressure:g}_s{seed:04d}.h5" for seed in many}
     files = {seed: target / names[seed] if folder else target for seed in many}
 
+    def made(file: Path, seed: int) -> bool:
+        if not file.exists():
+            return False
+        there = Packing.read(file).provenance
+        wanted = {"n": options.particles, "pressure": options.pressure, "seed": seed}
+        for key, value in wanted.items():
+            if there.get(key) != value:
+                raise InputError(f"{file}: has {key} = {there.get(key)}, not {value}; it cannot be resumed")
+        return True
+
     def left() -> list[int]:
         if folder:
             target.mkdir(parents=True, exist_ok=True)
         if options.resume:
-            return [seed for seed in many if not (files[seed].exists() and Packing.read(files[seed]))]
+            return [seed for seed in many if not made(files[seed], seed)]
         for file in files.values():
             refuse_existing(file, options.overwrite)
         return list(many)
 
-    todo = alone(comm, left)
+    todo = on_root(comm, left)
     mine = todo[comm.rank :: comm.size]
     with progress("prepare", show=comm.rank == 0) as report:
         for k, seed in enumerate(mine):
             packing = prepare_packing(
                 options.particles, options.pressure, seed,
                 **({"method": options.method} if options.method else {}),
-                progress=lambda f, text, k=k: report((k + f) / len(mine), text),
+                progress=part(report, k, len(mine)),
             )  # fmt: skip
             packing.write(files[seed], overwrite=True)
     comm.Barrier()
@@ -266,7 +265,7 @@ def info(options: argparse.Namespace, comm: Any) -> None:
             return table(read_moduli(options.file))
         return describe_packing(import_packing(options.file))
 
-    say(comm, alone(comm, text))
+    say(comm, on_root(comm, text))
 
 
 def import_(options: argparse.Namespace, comm: Any) -> None:
@@ -280,7 +279,7 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
         packing.write(options.output, overwrite=options.overwrite)
         print(f"{options.output}: {len(packing)} disks, phi = {packing.phi:.6f}")
 
-    alone(comm, work)
+    on_root(comm, work)
 
 
 def export(options: argparse.Namespace, comm: Any) -> None:
@@ -294,7 +293,7 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         export_packing(import_packing(options.file), target, options.to, overwrite=options.overwrite)
         print(target)
 
-    alone(comm, work)
+    on_root(comm, work)
 
 
 def moduli(options: argparse.Namespace, comm: Any) -> None:
@@ -303,7 +302,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     from petscjam.io.importers import import_packing
     from petscjam.io.results import append_modulus, done, group_name, read_moduli
-    from petscjam.progress import progress
+    from petscjam.progress import part, progress
     from petscjam.report import table
     from petscjam.response.moduli import complex_modulus
     from petscjam.storage import refuse_existing
@@ -314,7 +313,8 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     settings = {"damping": str(damping), "strain": options.strain, "prestress": not options.no_prestress}
 
     def files_and_groups_done() -> tuple[list[Path], set[str]]:
-        files = [f for given in options.packings for f in (sorted(given.glob("*.h5")) if given.is_dir() else [given])]
+        contents = (sorted(given.glob("*.h5")) if given.is_dir() else [given] for given in options.packings)
+        files = [file for files in contents for file in files]
         for file in files:
             if not file.exists():
                 raise InputError(f"{file}: no such file")
@@ -325,23 +325,23 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
         refuse_existing(options.output, options.overwrite)
         return files, set()
 
-    files, groups = alone(comm, files_and_groups_done)
+    files, groups = on_root(comm, files_and_groups_done)
     fresh = options.overwrite
     with progress("moduli", show=comm.rank == 0) as report:
         for k, file in enumerate(files):
-            packing = alone(comm, lambda file=file: import_packing(file))
+            packing = on_root(comm, import_packing, file)
             group = group_name(packing, file.stem)
             if group in groups:
                 continue
             result = complex_modulus(
                 packing, omega, damping=damping, strain=options.strain, prestress=settings["prestress"],
                 comm=comm, fields_at=kept, name=file.stem,
-                progress=lambda f, text, k=k, name=file.stem: report((k + f) / len(files), f"{name}: {text}"),
+                progress=part(report, k, len(files), f"{file.stem}: "),
             )  # fmt: skip
-            alone(comm, lambda r=result, g=group, f=fresh: append_modulus(r, options.output, g, fresh=f))
+            on_root(comm, append_modulus, result, options.output, group, fresh=fresh)
             groups.add(group)
             fresh = False
-    say(comm, alone(comm, lambda: table(read_moduli(options.output))))
+    say(comm, table(on_root(comm, read_moduli, options.output)))
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:
@@ -358,4 +358,4 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
         plot_moduli(results, target)
         print(target)
 
-    alone(comm, work)
+    on_root(comm, work)

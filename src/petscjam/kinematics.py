@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from petscjam.box import Array
@@ -25,12 +25,12 @@ from petscjam.errors import InputError
 from petscjam.network import ContactNetwork
 
 Field = NDArray[np.complex128]
-Motion = tuple[Field, Sequence[complex]]  # (q, s): every disk beyond the affine motion, and the strains
+Motion = tuple[Field, ArrayLike]  # (q, s): every disk beyond the affine motion, and the strains
 
 
 @dataclass(frozen=True, eq=False)
 class StrainMode:
-    """How the cell deforms: F(s) = 1 + s F′ + ½ s² F″ + …
+    """How the cell deforms: F(s) = 1 + s F′ + ½ s² F″ to second order.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Form:
         rows, strain_rows, weights = self.rows[touching], self.strain_rows[touching], self.weights[touching]
         return Form(rows, strain_rows, weights, self.body, self.extra, first[touching], my_disks)
 
-    def relative(self, q: Field, s: Sequence[complex]) -> Field:
+    def relative(self, q: Field, s: ArrayLike) -> Field:
         """Return Δu∥ and Δu⊥ of each contact, (A,), for the motion ``q`` (N, 3) at strains ``s`` (S,)."""
         parts = np.ascontiguousarray(q, dtype=complex).view(float).reshape(-1, 2)  # real and imaginary
         return (self.rows @ parts).view(complex)[:, 0] + self.strain_rows @ np.asarray(s)
@@ -115,12 +115,12 @@ class Form:
     def product(self, left: Motion, right: Motion) -> complex:
         """Return this rank's share of ⟨left, form right⟩; each side is (q, s), the left conjugated."""
         (ql, sl), (qr, sr) = left, right
-        contacts = np.vdot(self.relative(ql, sl)[self.mine], (self.weights * self.relative(qr, sr))[self.mine])
+        contacts = np.vdot(self.relative(ql, sl), self.mine * self.weights * self.relative(qr, sr))
         body = self.body * np.vdot(ql[self.my_disks, :2], qr[self.my_disks, :2])
         cell = self.my_disks[0] * (np.conj(sl) @ self.extra @ np.asarray(sr))
         return complex(contacts + body + cell)
 
-    def apply(self, q: Field, s: Sequence[complex]) -> Field:
+    def apply(self, q: Field, s: ArrayLike) -> Field:
         """Return this rank's share of the generalised force on every disk, (N, 3)."""
         force = (self.rows.T @ (self.mine * self.weights * self.relative(q, s))).reshape(-1, 3)
         force[self.my_disks, :2] += self.body * q[self.my_disks, :2]
@@ -157,9 +157,7 @@ def contact_rows(
     return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine).reshape(-1, len(strains))
 
 
-def whole_form(
-    rows: tuple[csr_array, Array], weights: Array, disks: int, body: float, extra: Array
-) -> Form:
+def whole_form(rows: tuple[csr_array, Array], weights: Array, disks: int, body: float, extra: Array) -> Form:
     """Return the form of the whole system, before it is shared among ranks; ``weights`` (C, 2)."""
     everything = np.ones(weights.size, dtype=bool), np.ones(disks, dtype=bool)
     return Form(*rows, weights.ravel(), body, extra, *everything)
@@ -172,4 +170,4 @@ def elastic_form(network: ContactNetwork, strains: Sequence[StrainMode], *, pres
     weights = np.stack([network.stiffness, transverse], axis=1)
     # a nonlinear F(s) adds the first derivative of the energy, −Σ f n·F″r
     second = [-network.area * np.sum(network.stress * mode.curvature) for mode in strains]
-    return whole_form(rows, weights, len(network.radii), 0.0, prestress * np.diag(second))
+    return whole_form(rows, weights, len(network.radii), 0.0, np.diag(second) * float(prestress))

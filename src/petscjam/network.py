@@ -57,7 +57,8 @@ class ContactNetwork:
         sigma = radii[i] + radii[j]
         distance = np.hypot(r[:, 0], r[:, 1])
         touching = distance <= sigma
-        i, j, r, sigma, distance = (a[touching] for a in (i, j, r, sigma, distance))
+        i, j, r = i[touching], j[touching], r[touching]
+        sigma, distance = sigma[touching], distance[touching]
         if (distance < 1e-12 * sigma).any():  # images of the same point differ by rounding
             c = int(np.argmin(distance / sigma))
             raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")

@@ -33,12 +33,12 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
     columns = max(3, len(pictured.field_omega)) if pictured else 1
     if pictured:
         figure = plt.figure(figsize=(3.4 * columns, 5.2 + 6.6), layout="constrained")
-        top, bottom = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
-        _draw_fields(bottom, pictured)
+        halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
+        _draw_fields(halves[1], pictured)
     else:
         figure = plt.figure(figsize=(7.2, 5.2), layout="constrained")
-        top = figure
-    _draw_moduli(top.subplots(), results)
+        halves = [figure]
+    _draw_moduli(halves[0].subplots(), results)
     with naming(path):
         figure.savefig(path, dpi=150)
     plt.close(figure)
@@ -58,7 +58,8 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     if one:
         ends = (
             (first.G0, 0, low, STORAGE, r"$G_0$"), (first.eta0, 1, low, LOSS, r"$\eta_0\omega$"),
-            (first.G_inf, 0, high, STORAGE, r"$G_\infty$"), (first.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$"),
+            (first.G_inf, 0, high, STORAGE, r"$G_\infty$"),
+            (first.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$"),
         )  # fmt: skip
         for limit, slope, end, colour, text in ends:
             if limit > 0:

@@ -11,6 +11,11 @@ Report = Callable[[float, str], None]
 LINE_EVERY = 10.0  # seconds between lines of a log
 
 
+def part(report: Report, k: int, n: int, label: str = "") -> Report:
+    """Return the report of the k-th of ``n`` equal parts."""
+    return lambda fraction, text: report((k + fraction) / n, label + text)
+
+
 @contextmanager
 def progress(label: str, *, show: bool) -> Iterator[Report]:
     """Give a function of the fraction done and a text; it prints nothing unless ``show`` (rank 0)."""

@@ -129,7 +129,7 @@ def modulus(K, B, omega, area):
 
 
 def stokes_modal_sum(K, omega, area, eta_fluid):
-    """Return G*(ω) under Stokes drag from the modes of K_uu, by hand:
+    """Return G*(ω) under Stokes drag from the modes of K_uu, by hand.
 
     G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω)) + iω ηF.
     """

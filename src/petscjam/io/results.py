@@ -109,7 +109,7 @@ def done(
                 )
         for what, old, new in (("omega", result.omega, omega), ("fields", result.field_omega, kept)):
             if not np.array_equal(old, new):
-                raise InputError(f"{file}: {name} was made at other frequencies ({what}); it cannot be resumed")
+                raise InputError(f"{file}: {name} has other frequencies ({what}); it cannot be resumed")
     return set(results)
 
 

@@ -25,13 +25,13 @@ def resolve(comm: Any = None) -> Any:
     return MPI.COMM_SELF
 
 
-def on_root(comm: Any, work: Callable[[], T]) -> T:
-    """Do ``work`` on rank 0 and give every rank its result, or raise its error on every rank."""
+def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
+    """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank."""
     result: Any = None
     error: Exception | None = None
     if comm.rank == 0:
         try:
-            result = work()
+            result = work(*arguments, **options)
         except Exception as caught:
             error = caught
     result, error = comm.bcast((result, error))

@@ -59,9 +59,9 @@ def _prepare_blas() -> None:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     with suppress(OSError):
-        flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text().partition("\nflags")[2].partition("\n")[0]))
+        flags = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
         for kernel, needs in OPENBLAS_KERNELS.items():
-            if needs <= flags:
+            if flags and needs <= set(flags[1].split()):
                 os.environ.setdefault("OPENBLAS_CORETYPE", kernel)
                 break
 
@@ -72,7 +72,7 @@ def check(PETSc: Any) -> None:
 
     version = ".".join(map(str, PETSc.Sys.getVersion()))
     if not np.issubdtype(PETSc.ScalarType, np.complexfloating):
-        raise InputError(f"petscjam needs a complex PETSc, and this one ({version}) has real scalars: {ADVICE}")
+        raise InputError(f"petscjam needs a complex PETSc; this one ({version}) has real scalars: {ADVICE}")
     if not PETSc.Sys.hasExternalPackage("mumps"):
         raise InputError(f"petscjam needs MUMPS, and this PETSc ({version}) was built without it: {ADVICE}")
 

@@ -162,7 +162,7 @@ def complex_modulus(
         memory, factorisations = solver.memory, solver.factorisations
         high = _or(Limit.unknown(), lambda: infinite_frequency(problem, pencil, solver), "G∞ and η∞", notes)
     low = _or(Limit.unknown(), lambda: zero_frequency(problem), "G0 and η0", notes)
-    modes = _or(None, lambda: on_root(comm, lambda: negative_modes(problem.backbone, prestress)),
+    modes = _or(None, lambda: on_root(comm, negative_modes, problem.backbone, prestress),
                 "the number of negative modes", notes)  # fmt: skip
     return ComplexModulus(
         omega, values, residuals, balance,

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-
 from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
@@ -124,5 +123,5 @@ def _advice(code: int, factor: Any) -> str:
     if code == -13:
         return "out of memory (INFOG(1) = -13); use more ranks, or -petscjam_mat_mumps_icntl_22 1 after --"
     if code in (-6, -10):
-        return f"the matrix is singular (INFOG(1) = {code}): the packing has free motions that nothing resists"
+        return f"the matrix is singular (INFOG(1) = {code}): there are free motions that nothing resists"
     return f"INFOG(1) = {code}, INFOG(2) = {factor.getMumpsInfog(2)} (MUMPS manual, section on errors)"
