@@ -67,9 +67,9 @@ def main():
         start = time.perf_counter()
         g = pj.complex_modulus(packing, np.geomspace(1e-8, 1e2, count), damping=law, comm=comm)
         ours = (time.perf_counter() - start) / count
+        peak = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
         bare = np.median(before + bare_mumps(A, f, PETSc, 5))
         slow = superlu(A, f) if comm.size == 1 else np.nan
-    peak = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     if comm.rank == 0:
         backbone = 1 - network.rattlers / len(packing)
         print(f"{len(packing)} disks, {100 * backbone:.1f} % in the backbone, Z = {network.Z:.2f}, "

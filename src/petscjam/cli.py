@@ -273,9 +273,8 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
 
     def work() -> None:
         from petscjam.io.importers import import_packing
-        from petscjam.packing.certify import certify
 
-        packing = certify(import_packing(options.file, options.index))
+        packing = import_packing(options.file, options.index)
         packing.write(options.output, overwrite=options.overwrite)
         print(f"{options.output}: {len(packing)} disks, phi = {packing.phi:.6f}")
 

@@ -169,5 +169,6 @@ def elastic_form(network: ContactNetwork, strains: Sequence[StrainMode], *, pres
     transverse = -network.force / network.distance * prestress
     weights = np.stack([network.stiffness, transverse], axis=1)
     # a nonlinear F(s) adds the first derivative of the energy, −Σ f n·F″r
-    second = [-network.area * np.sum(network.stress * mode.curvature) for mode in strains]
-    return whole_form(rows, weights, len(network.radii), 0.0, np.diag(second) * float(prestress))
+    virial = -network.area * network.stress * prestress
+    second = np.diag([float(np.sum(virial * mode.curvature)) for mode in strains])
+    return whole_form(rows, weights, len(network.radii), 0.0, second)

@@ -1,6 +1,6 @@
 """Judge a packing: residual forces, pressure, and the number of unstable modes.
 
-Axes: c contact, i disk of the backbone, x Cartesian.
+Axes: i disk of the backbone, x Cartesian.
 """
 
 from __future__ import annotations
@@ -11,38 +11,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.errors import SolverError
+from petscjam.kinematics import SIMPLE_SHEAR, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Certificate, Packing
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
+    from scipy.sparse import csc_array
 
 
-def hessian(network: ContactNetwork, prestress: bool = True) -> csc_matrix:
+def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
     """Return K_uu of the backbone, sparse and real, (2n, 2n); row 2i + x belongs to its i-th disk.
-
-    K = Σ k n⊗n − (f/r) t⊗t on relative displacements (BT eq. 4), the second term if ``prestress``.
 
     Raises
     ------
     InputError
         If there is no backbone, or it falls apart into pieces.
     """
-    from scipy.sparse import coo_matrix
-
     network = network.without_rattlers()
-    place = np.cumsum(network.backbone) - 1
-    i, j = place[network.i], place[network.j]
-    nn = np.einsum("cx,cy->cxy", network.normal, network.normal)
-    block = network.stiffness[:, None, None] * nn
-    if prestress:
-        block -= (network.force / network.distance)[:, None, None] * (np.eye(2) - nn)
-    a, b = np.concatenate([[i, i], [j, j], [i, j], [j, i]], axis=1)
-    blocks = np.concatenate([block, block, -block, -block])
-    rows = np.broadcast_to((2 * a)[:, None, None] + [[0], [1]], blocks.shape)
-    columns = np.broadcast_to((2 * b)[:, None, None] + [0, 1], blocks.shape)
-    size = 2 * int(network.backbone.sum())
-    return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size)).tocsc()
+    K = elastic_form(network, [SIMPLE_SHEAR], prestress=prestress)  # the mode plays no part
+    displacements = np.flatnonzero(np.outer(network.backbone, [True, True, False]))
+    A = K.rows[:, displacements]
+    return (A.T @ A.multiply(K.weights[:, None])).tocsc()
 
 
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:
