@@ -52,7 +52,7 @@ docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(READY) ## time a sweep on 1 and 2 ranks, with PETSc's own log (folder demo/)
+bench: $(READY) ## the direct sweep against bare MUMPS and SciPy, as ratios (five minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
 
 clean: ## remove what was built or computed, but not .venv

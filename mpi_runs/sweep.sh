@@ -1,22 +1,16 @@
 #!/usr/bin/env bash
-# A sweep of G*(ω) over an ensemble. Edit the lines below, then: bash mpi_runs/sweep.sh
-# Started again, it goes on where it stopped.
+# A sweep of G*(ω) over an ensemble. Edit mpi_runs/sweep.conf, then: bash mpi_runs/sweep.sh
+# Started again, it goes on where it stopped. LAUNCH and PETSCJAM may be set from outside (sweep.slurm does).
 set -euo pipefail
-ranks=2
-particles=1024
-pressures="1e-2 1e-3 1e-4"
-seeds=1:10
-omega=1e-8:1e2:61
-law="--damping contact --beta 1" # or: --damping stokes --eta-fluid 1
-folder=runs
-petscjam=.venv/bin/petscjam
-
 cd "$(dirname "$0")/.."
+. mpi_runs/sweep.conf
 . tools/mpi-env.sh
+launch=${LAUNCH:-mpirun -n 2}
+petscjam=${PETSCJAM:-.venv/bin/petscjam}
+
+mkdir -p "$folder"
 for pressure in $pressures; do
     packings=$folder/packings-N$particles-p$pressure
-    mpirun -n $ranks $petscjam prepare --particles $particles --pressure $pressure --seeds $seeds \
-        --resume -o $packings
-    mpirun -n $ranks $petscjam moduli $packings/*.h5 --omega $omega $law \
-        --resume -o $folder/modulus-N$particles-p$pressure.h5
+    $launch $petscjam prepare --particles $particles --pressure $pressure --seeds $seeds --resume -o $packings
+    $launch $petscjam moduli $packings --omega $omega $law --resume -o $folder/modulus-N$particles-p$pressure.h5
 done

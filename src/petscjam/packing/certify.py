@@ -60,12 +60,16 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
     )
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("certify: the factorisation of K exchanged rows; its pivots do not count modes")
-    rounding = eps * (abs(lu.L) @ (abs(lu.U) @ np.ones(K.shape[0]))).max()
+    L, U = lu.L, lu.U
+    negative = int((U.diagonal() < 0).sum())
+    for factor in (L, U):
+        np.abs(factor.data, out=factor.data)
+    rounding = eps * (L @ (U @ np.ones(K.shape[0]))).max()
     if rounding > shift:
         raise SolverError(
             f"certify: the factorisation of K rounds by up to {rounding:.1e}, its shift is only {shift:.1e}"
         )
-    return int((lu.U.diagonal() < 0).sum())
+    return negative
 
 
 def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
