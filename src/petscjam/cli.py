@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import resource
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import Field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
@@ -69,6 +71,9 @@ def misspelt(option: str, known: list[str]) -> str:
 
 def build_parser() -> Parser:
     """Return the parser of all verbs."""
+    from petscjam.damping import LAWS
+    from petscjam.kinematics import STRAINS
+
     parser = Parser(
         prog="petscjam",
         description="Linear response of jammed packings of soft disks, at every frequency.",
@@ -104,14 +109,16 @@ def build_parser() -> Parser:
     p.add_argument("--omega", type=frequencies, default="1e-8:1e2:61", metavar="RANGE",
                    help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
                         "or a list A,B,… (default 1e-8:1e2:61)")  # fmt: skip
-    p.add_argument("--damping", choices=["contact", "stokes"], default="contact",
-                   help="viscous force law (default contact)")  # fmt: skip
-    p.add_argument("--beta", type=number, help="contact: tangential over normal damping (default 1)")
-    p.add_argument(
-        "--no-rotations", action="store_true", help="contact: damp at the centres, without rolling"
-    )
-    p.add_argument("--eta-fluid", type=number, help="stokes: viscosity of the fluid, in k tau1 (default 1)")
-    p.add_argument("--strain", choices=["simple-shear", "pure-shear", "compression"], default="simple-shear",
+    p.add_argument("--damping", choices=LAWS, default="contact", help="viscous force law (default contact)")
+    for law in LAWS.values():
+        for item in fields(law):
+            text = f"{law.name}: {item.metadata['help']}"
+            if isinstance(item.default, bool):
+                p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
+            else:
+                text += f" (default {item.default:g})"
+                p.add_argument(option(item), dest=item.name, type=number, metavar="X", help=text)
+    p.add_argument("--strain", choices=STRAINS, default="simple-shear",
                    help="mode of deformation (default simple-shear)")  # fmt: skip
     p.add_argument("--no-prestress", action="store_true", help="leave out the forces of the initial state")
     p.add_argument("--fields", type=frequencies, default=(), metavar="RANGE",
@@ -189,17 +196,25 @@ def frequencies(text: str) -> Any:
         raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:N nor a list A,B,…") from None
 
 
-def law(options: argparse.Namespace) -> Any:
-    """Return the damping law that the options describe; an option of the other law is refused."""
-    from petscjam.damping import ContactDamping, StokesDrag
+def option(item: Field) -> str:
+    """Return the option of a field of a law; one that is on by default is turned off."""
+    return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
 
-    if options.damping == "contact":
-        if options.eta_fluid is not None:
-            raise InputError("--eta-fluid goes with --damping stokes")
-        return ContactDamping(1.0 if options.beta is None else options.beta, not options.no_rotations)
-    if options.beta is not None or options.no_rotations:
-        raise InputError("--beta and --no-rotations go with --damping contact")
-    return StokesDrag(1.0 if options.eta_fluid is None else options.eta_fluid)
+
+def chosen_law(options: argparse.Namespace) -> Any:
+    """Return the damping law that the options describe; an option of another law is refused."""
+    from petscjam.damping import LAWS
+
+    law, settings = LAWS[options.damping], {}
+    for other in LAWS.values():
+        for item in fields(other):
+            value = getattr(options, item.name)
+            if value is None:
+                continue
+            if item.name not in [own.name for own in fields(law)]:
+                raise InputError(f"{option(item)} goes with --damping {other.name}, not with {law.name}")
+            settings[item.name] = value
+    return law(**settings)
 
 
 def say(comm: Any, text: str) -> None:
@@ -306,7 +321,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.response.moduli import complex_modulus
     from petscjam.storage import refuse_existing
 
-    damping, omega = law(options), options.omega
+    damping, omega = chosen_law(options), options.omega
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
     kept = omega[np.unique(np.array(nearest, dtype=int))]
     settings = {"damping": str(damping), "strain": options.strain, "prestress": not options.no_prestress}
@@ -341,6 +356,8 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
             groups.add(group)
             fresh = False
     say(comm, table(on_root(comm, read_moduli, options.output)))
+    peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:

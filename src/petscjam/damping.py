@@ -1,12 +1,13 @@
 """Viscous force laws, each as data: what they rub on, how hard, and where.
 
-A law is an entry of :data:`LAWS`; the command line, the solver and every test of laws find it there.
+A law is an entry of :data:`LAWS`; the command line, the solver and every test of laws find it there. Its
+fields are its options, and their ``help`` is what the command says of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import ClassVar
 
 import numpy as np
@@ -75,8 +76,8 @@ class ContactDamping(DampingLaw):
         Take Δu⊥ where the disks touch and let them roll, or at their centres.
     """
 
-    beta: float = 1.0
-    rotations: bool = True
+    beta: float = field(default=1.0, metadata={"help": "tangential over normal damping"})
+    rotations: bool = field(default=True, metadata={"help": "damp at the centres, disks do not roll"})
     name: ClassVar[str] = "contact"
     normal: ClassVar[float] = 1.0
 
@@ -101,7 +102,7 @@ class StokesDrag(DampingLaw):
         Viscosity ηF ≥ 0 of the fluid, in units of kτ1 (in two dimensions).
     """
 
-    eta_fluid: float = 1.0
+    eta_fluid: float = field(default=1.0, metadata={"help": "viscosity of the fluid, in k tau1"})
     name: ClassVar[str] = "stokes"
     body: ClassVar[float] = 1.0
 
