@@ -182,7 +182,7 @@ def test_a_network_in_pieces(tmp_path, capfd):
     assert "2 pieces" in refused(capfd, "moduli", two_pieces(tmp_path), "-o", tmp_path / "g.h5")
 
 
-def test_disk_full(packing, tmp_path):
+def test_disk_full(packing, tmp_path, environment):
     """A limit on the size of files stands for a full disk; nothing is lost, nothing half-written."""
     out = tmp_path / "g.h5"
     main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
@@ -193,7 +193,9 @@ def test_disk_full(packing, tmp_path):
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2);"
         f"sys.exit(main(['moduli', {str(packing)!r}, '--omega', '1,2', '-o', {str(out)!r}, '--overwrite']))"
     )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment
+    )
     assert run.returncode == 2, run.stderr
     assert run.stderr.splitlines()[-1].startswith(f"petscjam: {out}: ")
     assert out.read_bytes() == before
@@ -227,12 +229,13 @@ def test_help(verb, capsys):
     assert "usage: petscjam" in capsys.readouterr().out
 
 
-def test_petsc_options_reach_petsc(packing, tmp_path):
+def test_petsc_options_reach_petsc(packing, tmp_path, environment):
     out = tmp_path / "g.h5"
     arguments = ["moduli", packing, "--omega", "1", "-o", out, "--", "-log_view"]
     run = subprocess.run(
-        [sys.executable, "-m", "petscjam", *arguments], capture_output=True, text=True, timeout=120
-    )
+        [sys.executable, "-m", "petscjam", *arguments],
+        capture_output=True, text=True, timeout=120, env=environment,
+    )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert "petscjam: factor" in run.stdout
 
@@ -269,14 +272,15 @@ def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
     assert "(rank 1 of 2)" in run.stderr
 
 
-def test_a_killed_run_leaves_whole_results(packing, tmp_path):
+def test_a_killed_run_leaves_whole_results(packing, tmp_path, environment):
     """Kill -9 after the first packing; the file reads, and a second run adds the rest."""
     out, library = tmp_path / "g.h5", [packing]
     for index in range(5):
         library.append(tmp_path / f"jaxmd{index}.h5")
         pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index).write(library[-1])
     arguments = ["moduli", *map(str, library), "--omega", "1e-8:1e2:300", "-o", str(out)]
-    run = subprocess.Popen([sys.executable, "-m", "petscjam", *arguments], stderr=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "petscjam", *arguments]
+    run = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)
     while not out.exists():
         assert run.poll() is None
     run.kill()
