@@ -138,6 +138,31 @@ def test_residuals_are_at_rounding(law):
     assert pj.complex_modulus(jax_md(), OMEGA, damping=law).residuals.max() < 1e-12
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_any_packing_without_tangential_damping_and_prestress_is_kelvin_voigt(seed):
+    """BT eq. 18, for the BT potential, in a cell tilted at random."""
+    packing = pj.prepare_packing(24, 10.0 ** -(1 + seed % 3), seed)
+    a, b = packing.box.cell
+    tilted = replace(packing, box=pj.Box([a + (seed - 2) * b, b + seed * a + seed * (seed - 2) * b]))
+    g = pj.complex_modulus(tilted, OMEGA, damping=pj.ContactDamping(beta=0.0), prestress=False)
+    assert g.values == pytest.approx(g.G0 * (1 + 1j * OMEGA), rel=1e-11)
+    assert [g.eta0, g.G_inf, g.eta_inf] == pytest.approx([g.G0] * 3, rel=1e-11)
+
+
+def test_one_symbolic_analysis_a_sweep():
+    """PETSc's own log: three patterns (sweep, K on the backbone, θ alone), W + 3 factorisations."""
+    from petscjam.parallel.petsc import petsc
+
+    log = petsc().Log
+    log.begin()
+    events = [log.Event(name) for name in ("MatCholFctrSym", "MatCholFctrNum")]
+    stage = log.Stage("petscjam: factor").id
+    before = [event.getPerfInfo(stage)["count"] for event in events]
+    pj.complex_modulus(jax_md(), OMEGA)
+    after = [event.getPerfInfo(stage)["count"] for event in events]
+    assert [b - a for a, b in zip(before, after, strict=True)] == [3, len(OMEGA) + 3]
+
+
 @pytest.mark.parametrize("law", EVERY_LAW, ids=str)
 def test_storage_modulus_never_falls_with_frequency(law):
     """K_uu is positive definite here, so each mode only stiffens."""

@@ -1,5 +1,7 @@
 # Sourced before mpirun. Open MPI 4 reads OMPI_MCA_*, Open MPI 5 PRTE_MCA_*; others ignore both.
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1} # one thread a rank
+# A rank that waits gives way to other work; it costs nothing where there is none.
+export OMPI_MCA_mpi_yield_when_idle=1
 # More ranks than cores are fine, and two runs side by side must not be bound to the same core.
 export OMPI_MCA_rmaps_base_oversubscribe=1 PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe
 export OMPI_MCA_hwloc_base_binding_policy=none PRTE_MCA_hwloc_default_binding_policy=none
