@@ -130,7 +130,8 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
         (["--omega", "1:10:0"], "1:10:0"), (["--omega", "fast"], "fast"), (["--omega", ""], "''"),
         (["--bta", "1"], "--beta"), (["--eta-fluid", "1"], "--eta-fluid"), (["--beta", "much"], "much"),
         (["--damping", "stokes", "--beta", "1"], "--beta"), (["--damping", "glue"], "glue"),
-        (["--strain", "torsion"], "torsion"),
+        (["--strain", "torsion"], "torsion"), (["--fields", "1e6"], "1e+06"),
+        (["--omega", "1:10:99999999999"], "99999999999"),
     ],
 )  # fmt: skip
 def test_bad_options(packing, tmp_path, capfd, options, named):
@@ -215,7 +216,15 @@ def test_prepare_many_seeds_and_resume(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "named"),
-    [(["--pressure", "-1"], "-1"), (["--particles", "3"], "3"), (["--seeds", "5:1"], "5:1")],
+    [
+        (["--pressure", "-1"], "-1"),
+        (["--particles", "3"], "3"),
+        (["--seeds", "5:1"], "5:1"),
+        (["--seeds", "1:99999999999"], "99999999999"),
+        (["--method", "magic"], "magic"),
+        (["--shear-stabilised"], "shear_stabilised"),
+        (["--seed", "1", "--seeds", "1:2"], "--seed"),
+    ],
 )
 def test_prepare_refuses(tmp_path, capfd, options, named):
     assert named in refused(capfd, "prepare", *options, "-o", tmp_path / "p.h5")
@@ -288,3 +297,109 @@ def test_a_killed_run_leaves_whole_results(packing, tmp_path, environment):
     assert 1 <= len(pj.read_moduli(out)) < len(library)
     assert main([*arguments, "--resume"]) == 0
     assert len(pj.read_moduli(out)) == len(library)
+
+
+def test_an_input_is_never_the_output(packing, tmp_path, capfd):
+    before = packing.read_bytes()
+    link = tmp_path / "link.h5"
+    link.symlink_to(packing)
+    for verb, output in (("moduli", packing), ("export", link), ("import", packing), ("plot", packing)):
+        capfd.readouterr()
+        assert main([verb, str(packing), "-o", str(output), "--overwrite"]) == 2
+        assert packing.read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["none/g.h5", "."])
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(
+    packing, tmp_path, capfd, monkeypatch, output
+):
+    import petscjam.response.moduli as moduli
+
+    monkeypatch.setattr(moduli, "complex_modulus", lambda *a, **k: pytest.fail("worked in vain"))
+    monkeypatch.chdir(tmp_path)
+    capfd.readouterr()
+    assert "folder" in refused(capfd, "moduli", packing, "-o", output)
+
+
+def test_seeds_need_a_folder(packing, capfd):
+    capfd.readouterr()
+    assert packing.name in refused(capfd, "prepare", "--particles", 16, "--seeds", "1:2", "-o", packing)
+
+
+def test_prepare_does_not_resume_another_packing(tmp_path, capfd):
+    out = tmp_path / "p.h5"
+    main(["prepare", "--particles", "16", "--pressure", "1e-2", "-o", str(out)])
+    capfd.readouterr()
+    assert "pressure = 0.01" in refused(
+        capfd, "prepare", "--particles", 16, "--pressure", 2e-2, "--resume", "-o", out
+    )
+
+
+def test_results_among_the_packings_are_not_packings(packing, tmp_path):
+    out = tmp_path / "g.h5"
+    for _ in range(2):
+        assert main(["moduli", str(tmp_path), "--omega", "1", "--resume", "-o", str(out)]) == 0
+    assert len(pj.read_moduli(out)) == 1
+
+
+@pytest.mark.parametrize("spoil", [truncated, other_schema])
+@pytest.mark.parametrize("verb", ["plot", "info"])
+def test_bad_results(packing, tmp_path, capfd, spoil, verb):
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    spoil(out)
+    capfd.readouterr()
+    assert out.name in refused(capfd, verb, out)
+
+
+def test_a_figure_of_unknown_kind(packing, tmp_path, capfd):
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
+    capfd.readouterr()
+    assert "'xyzzy'" in refused(capfd, "plot", out, "-o", tmp_path / "g.xyzzy")
+
+
+def test_the_figure_flags_an_unstable_packing():
+    from dataclasses import replace
+
+    from matplotlib.figure import Figure
+
+    from petscjam.plots import _draw_moduli
+
+    g = pj.complex_modulus(pj.import_packing(SIXTEEN), [0.1, 1.0])
+    flags = {}
+    for name, result in (("good", g), ("bad", replace(g, G0=-0.1)), ("saddle", replace(g, negative_modes=3))):
+        axes = Figure().subplots()
+        _draw_moduli(axes, {"p": result})
+        flags[name] = [text.get_text() for text in axes.texts if "UNSTABLE" in text.get_text()]
+    assert flags == {"good": [], "bad": ["UNSTABLE: G0 < 0"], "saddle": ["UNSTABLE: 3 negative modes"]}
+
+
+def test_frequencies_in_any_order(packing, tmp_path):
+    """The plot sorts them; the file keeps the order given."""
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--omega", "10,0.1,1", "-o", str(out)])
+    assert pj.read_modulus(out).omega.tolist() == [10.0, 0.1, 1.0]
+    assert main(["plot", str(out)]) == 0
+
+
+def test_another_solver_behind_the_prefix(packing, tmp_path, environment):
+    """PETSc's own LU instead of MUMPS, without touching the code."""
+    out, options = tmp_path / "g.h5", []
+    for prefix in ("petscjam_", "petscjam_static_", "petscjam_follow_"):
+        options += [f"-{prefix}pc_type", "lu", f"-{prefix}pc_factor_mat_solver_type", "petsc"]
+    arguments = ["moduli", packing, "--omega", "0.1,1", "-o", out, "--", *options]
+    run = subprocess.run([sys.executable, "-m", "petscjam", *arguments], env=environment, timeout=120)
+    assert run.returncode == 0
+    expected = pj.complex_modulus(pj.Packing.read(packing), [0.1, 1.0])
+    assert pj.read_modulus(out).values == pytest.approx(expected.values, rel=1e-10)
+    assert pj.read_modulus(out).eta0 == pytest.approx(expected.eta0, rel=1e-10)
+
+
+def test_a_petsc_option_that_nobody_reads_is_named(packing, tmp_path, environment):
+    arguments = ["moduli", packing, "--omega", "1", "-o", tmp_path / "g.h5", "--", "-petscjam_nonsense", "1"]
+    run = subprocess.run(
+        [sys.executable, "-m", "petscjam", *arguments],
+        capture_output=True, text=True, env=environment, timeout=120,
+    )  # fmt: skip
+    assert "-petscjam_nonsense" in run.stdout + run.stderr

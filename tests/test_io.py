@@ -351,7 +351,7 @@ def test_unknown_export_format(packing, tmp_path):
 
 
 def test_missing_folder(packing, tmp_path):
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="there is no folder"):
         packing.write(tmp_path / "none" / "p.h5")
 
 

@@ -41,11 +41,11 @@ def with_a_rattler():
     )
 
 
-def touching_rattler():
-    """The same, grown until it touches one disk."""
+def touching_rattler(overlap=1e-9):
+    """The same, grown until it overlaps one disk by a part of its own radius, or more by more."""
     packing = with_a_rattler()
     r = packing.radii.copy()
-    r[-1] *= 1.0 / 0.9 * (1 + 1e-9)
+    r[-1] *= 1.0 / 0.9 * (1 + overlap)
     return replace(packing, radii=r)
 
 
@@ -118,12 +118,47 @@ def test_limit_of_high_frequency(law):
     assert storage[0] < 1e-2 * g.G_inf
 
 
-@pytest.mark.parametrize("packing", ["rattler", "touching rattler"])
-def test_low_frequency_viscosity_with_a_dragged_rattler(packing):
-    """η0 is the limit of the sweep also where a rattler follows its neighbour."""
-    g = pj.complex_modulus(PACKINGS[packing](), [1e-5], damping=pj.StokesDrag(1.0), prestress=False)
-    assert g.eta0 == pytest.approx(g.values[0].imag / 1e-5, rel=1e-7)
-    assert g.G0 == pytest.approx(g.values[0].real, rel=1e-7)
+@pytest.mark.parametrize("overlap", [-0.1, 1e-9, 0.03, 0.06])
+def test_low_frequency_viscosity_with_a_dragged_rattler(overlap):
+    """η0 is the limit of the sweep also where a rattler follows its neighbours (none, one, two)."""
+    packing = touching_rattler(overlap)
+    assert pj.ContactNetwork.of(packing).rattlers == 1
+    g = pj.complex_modulus(packing, [1e-5], damping=pj.StokesDrag(1.0), prestress=False)
+    assert g.eta0 == pytest.approx(g.values[0].imag / 1e-5, rel=1e-8)
+    assert g.G0 == pytest.approx(g.values[0].real, rel=1e-8)
+
+
+@pytest.mark.parametrize("law", [pj.StokesDrag(0.0), pj.ContactDamping()], ids=str)
+def test_a_rattler_that_rests_on_another_is_not_in_contact(law):
+    """Whether it overlaps by 1e-14 or stays clear by as much is rounding, and changes nothing."""
+    clear, resting = (pj.complex_modulus(touching_rattler(x), OMEGA, damping=law) for x in (-1e-3, 1e-14))
+    assert resting.values == pytest.approx(clear.values, rel=1e-12)
+    assert resting.eta0 == pytest.approx(clear.eta0, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("law", [pj.StokesDrag(0.0), pj.ContactDamping()], ids=str)
+def test_any_image_of_a_prepared_packing(law, seed):
+    """Rattlers and all: whole lattice vectors change nothing but rounding."""
+    packing = pj.prepare_packing(64, 1e-3, seed)
+    shifts = np.random.default_rng(seed).integers(-3, 4, (64, 2))
+    moved = replace(packing, positions=packing.positions + shifts @ packing.box.cell)
+    before, after = (pj.complex_modulus(p, OMEGA, damping=law) for p in (packing, moved))
+    assert after.values == pytest.approx(before.values, rel=1e-8)
+    assert after.eta0 == pytest.approx(before.eta0, rel=1e-8)
+
+
+def test_one_disk_and_its_images():
+    """Nothing can move but the cell: G* = (K_γγ + iωB_γγ)/V of three contacts, at 0°, 60° and 120°.
+
+    Simple shear stretches each of the two slanted ones by a sin 60° cos 60°.
+    """
+    a = 0.99
+    packing = pj.Packing([[0.3, 0.2]], [0.5], pj.Box([[a, 0], [a / 2, a * 0.75**0.5]]))
+    g = pj.complex_modulus(packing, [1.0], damping=pj.StokesDrag(2.0), prestress=False)
+    G = 2 * a**2 * (0.75 * 0.25) / packing.box.area
+    assert g.values[0] == pytest.approx(G + 2j, rel=1e-12)
+    assert [g.G0, g.G_inf, g.eta0, g.eta_inf] == pytest.approx([G, G, 2.0, 2.0], rel=1e-12)
 
 
 @pytest.mark.parametrize("law", EVERY_LAW, ids=str)
@@ -241,7 +276,7 @@ def test_conjugate_at_negative_frequency():
     comm = resolve()
     problem = LinearProblem(jax_md(), pj.ContactDamping(), [SIMPLE_SHEAR], True, comm)
     dofs = problem.number(problem.active)
-    with assembled(problem.K, problem.B, dofs, comm) as pencil, direct_solver(comm) as solver:
+    with assembled(problem.K, problem.B, dofs, comm) as pencil, direct_solver(comm, "test_") as solver:
         solutions = []
         for omega in (0.3, -0.3):
             solver.factor(pencil.combine(1, 1j * omega))

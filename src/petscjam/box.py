@@ -47,7 +47,7 @@ class Box:
             raise InputError(f"box: the cell must be 2x2 (rows are lattice vectors), not {cell.shape}")
         if not np.isfinite(cell).all():
             raise InputError(f"box: the cell has entries that are not finite: {cell.tolist()}")
-        if abs(np.linalg.det(cell)) < 1e-12 * max((cell**2).sum(), 1e-300):
+        if not abs(np.linalg.det(cell)) > 1e-12 * np.prod(np.linalg.norm(cell, axis=1)):
             raise InputError(f"box: the lattice vectors {cell.tolist()} span no area")
         object.__setattr__(self, "cell", cell)
 

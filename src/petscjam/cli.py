@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 from petscjam.errors import InputError, SolverError
 from petscjam.parallel.comm import exit_together, on_root
 
+MOST = 1_000_000  # seeds, or frequencies
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
 
@@ -27,7 +28,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage."""
-        raise InputError(f"{self.prog}: {message}")
+        raise InputError(f"{self.prog.removeprefix('petscjam ')}: {message}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -89,9 +90,12 @@ def build_parser() -> Parser:
     p.add_argument("--particles", type=int, default=1024, metavar="N", help="number of disks (default 1024)")
     p.add_argument("--pressure", type=number, default=1e-3, metavar="P",
                    help="target pressure, in units of k (default 1e-3)")  # fmt: skip
-    p.add_argument("--seed", type=int, default=1, help="seed of the random start (default 1)")
-    p.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds, A to B, both counted")
-    p.add_argument("--method", choices=["cg", "fire"], help="minimiser (default: the faster one)")
+    either = p.add_mutually_exclusive_group()
+    either.add_argument("--seed", type=int, help="seed of the random start (default 1)")
+    either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds, A to B, both counted")
+    p.add_argument("--method", choices=["cg", "fire"], default="cg",
+                   help="minimiser: nonlinear conjugate gradients or FIRE (default cg)")  # fmt: skip
+    p.add_argument("--shear-stabilised", action="store_true", help="not available yet")
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
     p = add(verbs, "info", info, "say what a packing or a result holds")
@@ -174,6 +178,8 @@ def seeds(text: str) -> range:
         raise argparse.ArgumentTypeError(f"{text!r} is not a range A:B of whole numbers") from None
     if last < first:
         raise argparse.ArgumentTypeError(f"{text!r} is an empty range")
+    if last - first >= MOST:
+        raise argparse.ArgumentTypeError(f"{text!r} has more than {MOST} seeds")
     return range(first, last + 1)
 
 
@@ -190,6 +196,8 @@ def frequencies(text: str) -> Any:
         ends = checked([float(first), float(last)])
         if int(count) < 1 or (ends[1] < ends[0]):
             raise InputError(f"omega: the range {text} is empty")
+        if int(count) > MOST:
+            raise InputError(f"omega: the range {text} has more than {MOST} points")
         if int(count) == 1 and ends[0] != ends[1]:
             raise InputError(f"omega: the range {text} has two ends but one point")
         return np.geomspace(ends[0], ends[1], int(count))
@@ -231,9 +239,10 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.packing.packing import Packing
     from petscjam.packing.prepare import prepare_packing
     from petscjam.progress import part, progress
-    from petscjam.storage import refuse_existing
+    from petscjam.storage import check_output, naming
 
-    many, target = options.seeds or [options.seed], options.output
+    one = 1 if options.seed is None else options.seed
+    many, target = options.seeds or [one], options.output
     folder = options.seeds is not None or target.is_dir()
     names = {seed: f"N{options.particles}_p{options.pressure:g}_s{seed:04d}.h5" for seed in many}
     files = {seed: target / names[seed] if folder else target for seed in many}
@@ -242,7 +251,9 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
         if not file.exists():
             return False
         there = Packing.read(file).provenance
-        wanted = {"n": options.particles, "pressure": options.pressure, "seed": seed}
+        wanted = {
+            "n": options.particles, "pressure": options.pressure, "seed": seed, "method": options.method,
+        }  # fmt: skip
         for key, value in wanted.items():
             if there.get(key) != value:
                 raise InputError(f"{file}: has {key} = {there.get(key)}, not {value}; it cannot be resumed")
@@ -250,12 +261,12 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
 
     def left() -> list[int]:
         if folder:
-            target.mkdir(parents=True, exist_ok=True)
-        if options.resume:
-            return [seed for seed in many if not made(files[seed], seed)]
-        for file in files.values():
-            refuse_existing(file, options.overwrite)
-        return list(many)
+            with naming(target):
+                target.mkdir(parents=True, exist_ok=True)
+        todo = [seed for seed in many if not (options.resume and made(files[seed], seed))]
+        for seed in todo:
+            check_output(files[seed], overwrite=options.overwrite)
+        return todo
 
     todo = on_root(comm, left)
     mine = todo[comm.rank :: comm.size]
@@ -263,7 +274,7 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
         for k, seed in enumerate(mine):
             packing = prepare_packing(
                 options.particles, options.pressure, seed,
-                **({"method": options.method} if options.method else {}),
+                method=options.method, shear_stabilised=options.shear_stabilised,
                 progress=part(report, k, len(mine)),
             )  # fmt: skip
             packing.write(files[seed], overwrite=True)
@@ -291,7 +302,9 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
 
     def work() -> None:
         from petscjam.io.importers import import_packing
+        from petscjam.storage import check_output
 
+        check_output(options.output, overwrite=options.overwrite, inputs=[options.file])
         packing = import_packing(options.file, options.index)
         packing.write(options.output, overwrite=options.overwrite)
         print(f"{options.output}: {len(packing)} disks, phi = {packing.phi:.6f}")
@@ -305,12 +318,21 @@ def export(options: argparse.Namespace, comm: Any) -> None:
     def work() -> None:
         from petscjam.io.exporters import export_packing
         from petscjam.io.importers import import_packing
+        from petscjam.storage import check_output
 
         target = options.output or options.file.with_suffix(f".{options.to}")
+        check_output(target, overwrite=options.overwrite, inputs=[options.file])
         export_packing(import_packing(options.file), target, options.to, overwrite=options.overwrite)
         print(target)
 
     on_root(comm, work)
+
+
+def packings_of(given: Path) -> list[Path]:
+    """Return the file itself, or the packings of a folder; results that lie among them are not meant."""
+    from petscjam.io.results import is_result
+
+    return [file for file in sorted(given.glob("*.h5")) if not is_result(file)] if given.is_dir() else [given]
 
 
 def moduli(options: argparse.Namespace, comm: Any) -> None:
@@ -322,24 +344,26 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.progress import part, progress
     from petscjam.report import table
     from petscjam.response.moduli import complex_modulus
-    from petscjam.storage import refuse_existing
+    from petscjam.storage import check_output
 
     damping, omega = chosen_law(options), options.omega
+    for w in options.fields:
+        if not omega.min() <= w <= omega.max():
+            raise InputError(f"--fields {w:g} lies outside the sweep")
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
     kept = omega[np.unique(np.array(nearest, dtype=int))]
     settings = {"damping": str(damping), "strain": options.strain, "prestress": not options.no_prestress}
 
     def files_and_groups_done() -> tuple[list[Path], set[str]]:
-        contents = (sorted(given.glob("*.h5")) if given.is_dir() else [given] for given in options.packings)
-        files = [file for files in contents for file in files]
+        files = [file for given in options.packings for file in packings_of(given)]
         for file in files:
             if not file.exists():
                 raise InputError(f"{file}: no such file")
         if not files:
             raise InputError(f"{options.packings[0]}: no packings in this folder")
+        check_output(options.output, overwrite=options.overwrite or options.resume, inputs=files)
         if options.resume and options.output.exists():
             return files, done(options.output, settings, omega, kept)
-        refuse_existing(options.output, options.overwrite)
         return files, set()
 
     files, groups = on_root(comm, files_and_groups_done)
@@ -358,7 +382,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
             on_root(comm, append_modulus, result, options.output, group, fresh=fresh)
             groups.add(group)
             fresh = False
-    say(comm, table(on_root(comm, read_moduli, options.output)))
+    say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
 
@@ -369,11 +393,11 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
     def work() -> None:
         from petscjam.io.results import read_moduli
         from petscjam.plots import plot_moduli
-        from petscjam.storage import refuse_existing
+        from petscjam.storage import check_output
 
         target = options.output or options.file.with_suffix(".png")
         results = read_moduli(options.file)
-        refuse_existing(target, options.overwrite)
+        check_output(target, overwrite=options.overwrite, inputs=[options.file])
         plot_moduli(results, target)
         print(target)
 

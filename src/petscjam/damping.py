@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, fields
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petscjam.errors import InputError
-from petscjam.kinematics import Form, StrainMode, contact_rows, whole_form
+from petscjam.kinematics import Form, StrainMode, form
 from petscjam.network import ContactNetwork
 
 
@@ -41,8 +42,8 @@ class DampingLaw:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {value}")
+            if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0):
+                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {value!r}")
 
     @property
     def tangential(self) -> float:
@@ -115,9 +116,13 @@ class StokesDrag(DampingLaw):
 LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
 
 
-def viscous_form(network: ContactNetwork, strains: Sequence[StrainMode], law: DampingLaw) -> Form:
+def viscous_form(
+    network: ContactNetwork, my_disks: NDArray[np.bool_], strains: Sequence[StrainMode], law: DampingLaw
+) -> Form:
     """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8)."""
-    rows = contact_rows(network, strains, at_contact_point=law.at_contact_point)
     weights = np.tile([law.normal, law.tangential], (len(network), 1))
     fluid = np.diag([law.fluid * network.area * mode.shears_fluid for mode in strains])
-    return whole_form(rows, weights, len(network.radii), law.body, fluid)
+    return form(
+        network, my_disks, strains, weights,
+        at_contact_point=law.at_contact_point, body=law.body, extra=fluid,
+    )  # fmt: skip

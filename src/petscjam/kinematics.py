@@ -77,8 +77,8 @@ def strain_mode(name: str) -> StrainMode:
 class Form:
     """The quadratic form Σ_a w_a (A_a·q + a_a·s)² + body Σ_i |u_i|² + s·extra·s.
 
-    K and B are both of this kind. A rank holds its :meth:`share`: the contacts that touch its disks;
-    ``mine`` and ``my_disks`` mark what it counts in sums over the whole system.
+    K and B are both of this kind. A rank holds the rows of the contacts that touch its disks; ``mine`` and
+    ``my_disks`` mark what it counts in sums over the whole system.
 
     Attributes
     ----------
@@ -99,13 +99,6 @@ class Form:
     extra: Array
     mine: NDArray[np.bool_]
     my_disks: NDArray[np.bool_]
-
-    def share(self, my_disks: NDArray[np.bool_], network: ContactNetwork) -> Form:
-        """Return the part of the whole form of ``network`` that the owner of ``my_disks`` (N,) needs."""
-        first = np.repeat(my_disks[network.i], 2)
-        touching = first | np.repeat(my_disks[network.j], 2)
-        rows, strain_rows, weights = self.rows[touching], self.strain_rows[touching], self.weights[touching]
-        return Form(rows, strain_rows, weights, self.body, self.extra, first[touching], my_disks)
 
     def relative(self, q: Field, s: ArrayLike) -> Field:
         """Return Δu∥ and Δu⊥ of each contact, (A,), for the motion ``q`` (N, 3) at strains ``s`` (S,)."""
@@ -157,18 +150,35 @@ def contact_rows(
     return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine).reshape(-1, len(strains))
 
 
-def whole_form(rows: tuple[csr_array, Array], weights: Array, disks: int, body: float, extra: Array) -> Form:
-    """Return the form of the whole system, before it is shared among ranks; ``weights`` (C, 2)."""
-    everything = np.ones(weights.size, dtype=bool), np.ones(disks, dtype=bool)
-    return Form(*rows, weights.ravel(), body, extra, *everything)
+def form(
+    network: ContactNetwork,
+    my_disks: NDArray[np.bool_],
+    strains: Sequence[StrainMode],
+    weights: Array,
+    *,
+    at_contact_point: bool = False,
+    body: float = 0.0,
+    extra: Array,
+) -> Form:
+    """Return what the owner of ``my_disks`` (N,) needs of a form with ``weights`` (C, 2)."""
+    touching = my_disks[network.i] | my_disks[network.j]
+    part = network.only(touching)
+    rows, strain_rows = contact_rows(part, strains, at_contact_point=at_contact_point)
+    mine = np.repeat(my_disks[part.i], 2)
+    return Form(rows, strain_rows, weights[touching].ravel(), body, extra, mine, my_disks)
 
 
-def elastic_form(network: ContactNetwork, strains: Sequence[StrainMode], *, prestress: bool) -> Form:
+def elastic_form(
+    network: ContactNetwork,
+    my_disks: NDArray[np.bool_],
+    strains: Sequence[StrainMode],
+    *,
+    prestress: bool,
+) -> Form:
     """Return K: stiffness k on Δu∥ and, with pre-stress, −f/r on Δu⊥ (BT eq. 4)."""
-    rows = contact_rows(network, strains, at_contact_point=False)
     transverse = -network.force / network.distance * prestress
     weights = np.stack([network.stiffness, transverse], axis=1)
     # a nonlinear F(s) adds the first derivative of the energy, −Σ f n·F″r
     virial = -network.area * network.stress * prestress
     second = np.diag([float(np.sum(virial * mode.curvature)) for mode in strains])
-    return whole_form(rows, weights, len(network.radii), 0.0, second)
+    return form(network, my_disks, strains, weights, extra=second)

@@ -45,7 +45,10 @@ class ContactNetwork:
 
     @classmethod
     def of(cls, packing: Packing) -> ContactNetwork:
-        """Find the contacts of ``packing``, rattlers' contacts included.
+        """Find the contacts of ``packing``.
+
+        Those of rattlers are included, unless their force is too small to count in the balance of forces,
+        max(1e-10·p·d, 4·ε·k·L): whether a rattler that merely rests on another overlaps it is rounding.
 
         Raises
         ------
@@ -63,10 +66,13 @@ class ContactNetwork:
             c = int(np.argmin(distance / sigma))
             raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")
         law = packing.potential
-        return cls(
+        network = cls(
             i, j, r, law.force(distance, sigma), law.stiffness(distance, sigma),
             radii, packing.box.area, _backbone(i, j, len(radii)),
         )  # fmt: skip
+        rounding = 4 * np.finfo(float).eps * network.stiffness * np.sqrt(network.area)
+        counts = network.force > np.maximum(1e-10 * network.pressure * packing.mean_diameter, rounding)
+        return network.only(counts | (network.backbone[i] & network.backbone[j]))
 
     def __len__(self) -> int:
         return len(self.i)
@@ -111,6 +117,11 @@ class ContactNetwork:
         np.add.at(net, self.i, -pull)
         return net
 
+    def only(self, which: NDArray[np.bool_]) -> ContactNetwork:
+        """Keep the contacts ``which`` (C,); the disks and the backbone stay what they are."""
+        part = {name: getattr(self, name)[which] for name in ("i", "j", "r", "force", "stiffness")}
+        return replace(self, **part)
+
     def without_rattlers(self) -> ContactNetwork:
         """Keep only the contacts inside the backbone.
 
@@ -119,10 +130,7 @@ class ContactNetwork:
         InputError
             If no contact is left, or the backbone falls apart into pieces.
         """
-        inside = self.backbone[self.i] & self.backbone[self.j]
-        kept = replace(
-            self, **{name: getattr(self, name)[inside] for name in ("i", "j", "r", "force", "stiffness")}
-        )
+        kept = self.only(self.backbone[self.i] & self.backbone[self.j])
         if len(kept) == 0:
             raise InputError(
                 f"network: no contacts are left once rattlers are removed (the packing has {len(self)}); "

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
 from petscjam.report import state
 from petscjam.response.moduli import ComplexModulus
-from petscjam.storage import naming
+from petscjam.storage import write_atomically
 
 STORAGE, LOSS, UNSTABLE = "#1f5fa8", "#c8551b", "#8b1a1a"
 
@@ -24,35 +27,38 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
     InputError
         If the figure cannot be written.
     """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     pictured = next((g for g in results.values() if len(g.field_omega)), None)
     columns = max(3, len(pictured.field_omega)) if pictured else 1
     if pictured:
-        figure = plt.figure(figsize=(3.4 * columns, 5.2 + 6.6), layout="constrained")
+        figure = Figure(figsize=(3.4 * columns, 5.2 + 6.6), layout="constrained")
         halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
         _draw_fields(halves[1], pictured)
     else:
-        figure = plt.figure(figsize=(7.2, 5.2), layout="constrained")
+        figure = Figure(figsize=(7.2, 5.2), layout="constrained")
         halves = [figure]
     _draw_moduli(halves[0].subplots(), results)
-    with naming(path):
-        figure.savefig(path, dpi=150)
-    plt.close(figure)
+    kind = Path(path).suffix.removeprefix(".").lower() or "png"
+    known = figure.canvas.get_supported_filetypes()
+    if kind not in known:
+        raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
+    picture = BytesIO()
+    figure.savefig(picture, dpi=150, format=kind)
+    write_atomically(path, picture.getvalue())
 
 
 def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     one = len(results) == 1
     for g in results.values():
-        for values, colour, marker in ((g.values.real, STORAGE, "o"), (g.values.imag, LOSS, "s")):
-            line = axes.loglog(g.omega, np.where(values > 0, values, np.nan), color=colour, lw=1,
-                               alpha=1 if one else 0.5)[0]  # fmt: skip
+        rising = np.argsort(g.omega)
+        omega, G = g.omega[rising], g.values[rising]
+        for values, colour, marker in ((G.real, STORAGE, "o"), (G.imag, LOSS, "s")):
+            line = axes.loglog(omega, np.where(values > 0, values, np.nan), color=colour, lw=1,
+                               alpha=1 if one else 0.5, ls="-" if g.stable else ":")[0]  # fmt: skip
             if one:
                 line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
-            axes.loglog(g.omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
+            axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
     first = next(iter(results.values()))
     low, high = first.omega.min(), first.omega.max()
     if one:
@@ -74,6 +80,8 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     axes.plot([], [], "-o", color=STORAGE, label="storage modulus $G'$")
     axes.plot([], [], "-s", color=LOSS, mfc="white", label="loss modulus $G''$")
     if bad:
+        axes.plot([], [], ":", color="0.3", label="not stable")
+    if any((g.values.real < 0).any() for g in bad):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
     axes.legend(loc="upper left", frameon=False)
     p, count = first.packing, len(results)
@@ -81,7 +89,7 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     title += f"; {first.damping}; {'with' if first.prestress else 'without'} pre-stress; {first.strain}"
     axes.set_title(title, fontsize=10)
     if bad:
-        text = state(bad[0]) if one else f"{len(bad)} of {count} packings UNSTABLE"
+        text = state(bad[0]) if one else f"{len(bad)} of {count} packings not stable"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
 
 
@@ -90,7 +98,8 @@ def _guides(axes: Any, g: ComplexModulus) -> None:
     spans = {1.0: g.omega.min() * np.array([30, 3e3]), 0.5: np.array([3e-3, 0.3])}
     for slope, span in spans.items():
         inside = span[1] < g.omega.max() and span[0] >= g.omega.min()
-        height = np.interp(np.log(span[0]), np.log(g.omega), np.log(np.abs(g.values.imag)))
+        rising = np.argsort(g.omega)
+        height = np.interp(np.log(span[0]), np.log(g.omega[rising]), np.log(np.abs(g.values.imag[rising])))
         if inside and len(g.omega) > 2:
             guide = 0.35 * np.exp(height) * (span / span[0]) ** slope
             axes.loglog(span, guide, color="0.4", lw=1)

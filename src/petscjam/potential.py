@@ -9,11 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from petscjam.box import Array
 from petscjam.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -65,15 +65,21 @@ def table(results: Mapping[str, ComplexModulus]) -> str:
 
 
 def state(g: ComplexModulus) -> str:
-    """Return ``stable``, or what makes the packing unstable."""
-    faults = []
-    if not g.G0 > 0:
-        faults.append("G0 < 0" if g.G0 < 0 else "G0 unknown")
+    """Return ``stable``, or what makes the packing unstable, or what is not known."""
+    if g.stable:
+        return "stable"
+    faults, unknown = [], []
+    if np.isnan(g.G0):
+        unknown.append("G0")
+    elif g.G0 < 0:
+        faults.append("G0 < 0")
+    elif not g.rigid:
+        faults.append("G0 = 0")
     if g.negative_modes is None:
-        faults.append("negative modes not counted")
+        unknown.append("negative modes")
     elif g.negative_modes:
         faults.append(f"{g.negative_modes} negative modes")
-    return f"UNSTABLE: {', '.join(faults)}" if faults else "stable"
+    return f"UNSTABLE: {', '.join(faults)}" if faults else f"UNKNOWN: {', '.join(unknown)}"
 
 
 def _value(x: float) -> str:

@@ -8,8 +8,9 @@ an OSError at a known place, and a parallel build of h5py behaves as a serial on
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -36,10 +37,42 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
         raise InputError(f"{path}: {error.strerror or error}") from error
 
 
-def refuse_existing(path: str | PathLike[str], overwrite: bool) -> None:
-    """Raise an InputError if ``path`` exists, unless ``overwrite``."""
-    if not overwrite and os.path.lexists(path):
-        raise InputError(f"{path}: exists already; choose another name or ask to overwrite it")
+def check_output(
+    path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()
+) -> None:
+    """Refuse a ``path`` that could not be written at the end of the work, or should not be.
+
+    Raises
+    ------
+    InputError
+        If it exists and ``overwrite`` is not set, is a folder or one of ``inputs``, or lies in a folder
+        that is missing or not writable.
+    """
+    folder = Path(path).absolute().parent
+    for reason, refused in (
+        ("is a folder, not a file", os.path.isdir(path)),
+        ("is an input, too; choose another name", any(_same(path, name) for name in inputs)),
+        (
+            "exists already; choose another name or ask to overwrite it",
+            os.path.exists(path) and not overwrite,
+        ),
+        (f"there is no folder {folder}", not folder.is_dir()),
+        (f"the folder {folder} is not writable", folder.is_dir() and not os.access(folder, os.W_OK)),
+    ):
+        if refused:
+            raise InputError(f"{path}: {reason}")
+
+
+def _same(a: str | PathLike[str], b: str | PathLike[str]) -> bool:
+    return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
+
+
+def release(package: str) -> str:
+    """Return the version of an installed package, or ``unknown``."""
+    try:
+        return version(package)
+    except PackageNotFoundError:  # run from a source tree
+        return "unknown"
 
 
 def write_atomically(path: str | PathLike[str], data: bytes) -> None:

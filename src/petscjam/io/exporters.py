@@ -8,7 +8,7 @@ import numpy as np
 
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
-from petscjam.storage import refuse_existing, write_atomically
+from petscjam.storage import check_output, write_atomically
 
 
 def export_packing(
@@ -23,7 +23,7 @@ def export_packing(
     """
     if to not in FORMATS:
         raise InputError(f"export: {to!r} is unknown; known are {', '.join(FORMATS)}")
-    refuse_existing(path, overwrite)
+    check_output(path, overwrite=overwrite)
     write_atomically(path, FORMATS[to](packing))
 
 

@@ -28,7 +28,8 @@ def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
         If there is no backbone, or it falls apart into pieces.
     """
     network = network.without_rattlers()
-    K = elastic_form(network, [SIMPLE_SHEAR], prestress=prestress)  # the mode plays no part
+    everybody = np.ones(len(network.radii), dtype=bool)
+    K = elastic_form(network, everybody, [SIMPLE_SHEAR], prestress=prestress)  # the mode plays no part
     displacements = np.flatnonzero(np.outer(network.backbone, [True, True, False]))
     A = K.rows[:, displacements]
     return (A.T @ A.multiply(K.weights[:, None])).tocsc()
@@ -50,6 +51,8 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
 
     network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
     K = hessian(network, prestress)[2:, 2:]
+    if K.shape[0] == 0:  # one disk, and its images
+        return 0
     eps = float(np.finfo(float).eps)
     shift = 1e4 * eps * abs(K.diagonal()).max()
     lu = splu(

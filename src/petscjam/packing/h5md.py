@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,7 @@ import numpy as np
 from petscjam.box import Box
 from petscjam.errors import InputError
 from petscjam.packing.packing import Certificate, Packing
-from petscjam.storage import atomic_h5, open_h5, refuse_existing
+from petscjam.storage import atomic_h5, check_output, open_h5, release
 
 if TYPE_CHECKING:
     import h5py
@@ -50,7 +49,7 @@ def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) 
     InputError
         If ``path`` exists and ``overwrite`` is not set, or cannot be written.
     """
-    refuse_existing(path, overwrite)
+    check_output(path, overwrite=overwrite)
     edges = np.diag([0.0, 0.0, 2 * packing.radii.max()])
     edges[:2, :2] = packing.box.cell
     with atomic_h5(path) as file:
@@ -114,14 +113,10 @@ def read(path: str | PathLike[str]) -> Packing:
 
 
 def _write_header(file: h5py.File) -> None:
-    try:
-        release = version("petscjam")
-    except PackageNotFoundError:  # run from a source tree
-        release = "unknown"
     header = file.create_group("h5md")
     header.attrs["version"] = (1, 1)
     header.create_group("author").attrs["name"] = "unknown"
-    header.create_group("creator").attrs.update(name="petscjam", version=release)
+    header.create_group("creator").attrs.update(name="petscjam", version=release("petscjam"))
 
 
 def _read_certificate(ours: h5py.Group) -> Certificate | None:

@@ -12,13 +12,10 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from petscjam.box import Box, frozen
+from petscjam.box import Array, Box, frozen
 from petscjam.errors import InputError
 from petscjam.potential import Potential, potential
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,6 +94,8 @@ class Packing:
             if bad.any():
                 i = int(np.argmax(bad))
                 raise InputError(f"packing: the {name} of disk {i} is {values[i]}")
+        if not isinstance(self.box, Box):
+            raise InputError(f"packing: the box must be a Box, as Box([[Lx, 0], [0, Ly]]), not {self.box!r}")
         potential(self.potential_name)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "radii", radii)

@@ -5,20 +5,22 @@ Axes: i disk, x Cartesian.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from math import log
 from numbers import Integral, Real
 
 import numpy as np
 
-from petscjam.box import Box
+from petscjam.box import Array, Box
 from petscjam.errors import InputError
+from petscjam.network import ContactNetwork
 from petscjam.packing.certify import certify
 from petscjam.packing.minimise import METHODS, Enthalpy
-from petscjam.packing.packing import Array, Packing
+from petscjam.packing.packing import Packing
+from petscjam.progress import Report
+from petscjam.storage import release
 
-Progress = Callable[[float, str], None]
+GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
+PUSHES = 1000
 
 
 def prepare_packing(
@@ -29,7 +31,7 @@ def prepare_packing(
     shear_stabilised: bool = False,
     method: str = "cg",
     potential_name: str = "harmonic",
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> Packing:
     """Return a packing of ``n`` disks in mechanical equilibrium at ``pressure``, in a square cell.
 
@@ -91,11 +93,12 @@ def prepare_packing(
     x, scale = enthalpy.unpack(z)
     # Scaling the positions rounds them; the forces this leaves are relaxed where they will be read.
     box = Box.square(scale * length)
+    x = _free_rattlers(Packing(box.wrap(scale * x), radii, box, potential_name))
     final = Enthalpy(radii, scale * length, potential_name=potential_name, skin=0.1, report=report)
-    x, _ = final.unpack(minimise(final, np.append(box.wrap(scale * x), 0.0), lambda h: h.force <= tolerance))
+    x, _ = final.unpack(minimise(final, np.append(x, 0.0), lambda h: h.force <= tolerance))
     made_by = {
-        "program": "petscjam", "version": _version("petscjam"),
-        "numpy": _version("numpy"), "numba": _version("numba"),
+        "program": "petscjam", "version": release("petscjam"),
+        "numpy": release("numpy"), "numba": release("numba"),
         "n": int(n), "pressure": float(pressure), "seed": int(seed), "method": method,
         "evaluations": energy.evaluations + enthalpy.evaluations + final.evaluations,
     }  # fmt: skip
@@ -103,6 +106,31 @@ def prepare_packing(
     if progress is not None:
         progress(1.0, f"largest force {final.force:.1e}, pressure {final.pressure:.4e}")
     return packing
+
+
+def _free_rattlers(packing: Packing) -> Array:
+    """Return positions in which no rattler rests on a neighbour, where its cage leaves it room.
+
+    A minimiser leaves rattlers with overlaps of the order of rounding, and it would be rounding that
+    decides whether they are in contact. They are pushed off by GAP.
+    """
+    rattler = ~ContactNetwork.of(packing).backbone
+    x, radii = packing.positions.copy(), packing.radii
+    i, j, r = packing.box.pairs_within(x, 2.01 * radii.max())
+    loose = rattler[i] | rattler[j]
+    i, j, r = i[loose], j[loose], r[loose]
+    images = r - (x[j] - x[i])
+    share = 1.0 / np.maximum(rattler[i].astype(int) + rattler[j], 1)
+    for _ in range(PUSHES):
+        r = x[j] - x[i] + images
+        distance = np.hypot(r[:, 0], r[:, 1])
+        overlap = np.maximum((1 + GAP) * (radii[i] + radii[j]) - distance, 0)
+        if not overlap.any():
+            break
+        push = (share * overlap / distance)[:, None] * r
+        np.add.at(x, j, push * rattler[j, None])
+        np.add.at(x, i, -push * rattler[i, None])
+    return x
 
 
 def _edge(radii: Array, phi: float) -> float:
@@ -131,10 +159,3 @@ def _check(n: int, pressure: float, seed: int, shear_stabilised: bool, method: s
         raise InputError(f"prepare: the method {method!r} is unknown; known are {', '.join(METHODS)}")
     if shear_stabilised:
         raise InputError("prepare: shear_stabilised=True is not available yet; leave it out")
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from petscjam.errors import InputError, SolverError
+
 T = TypeVar("T")
 
 
@@ -26,7 +28,10 @@ def resolve(comm: Any = None) -> Any:
 
 
 def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
-    """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank."""
+    """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
+
+    An error that is not ours stays as it is on rank 0, and is a RuntimeError elsewhere.
+    """
     result: Any = None
     error: Exception | None = None
     if comm.rank == 0:
@@ -34,9 +39,10 @@ def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) 
             result = work(*arguments, **options)
         except Exception as caught:
             error = caught
-    result, error = comm.bcast((result, error))
-    if error is not None:
-        raise error
+    ours = error if isinstance(error, InputError | SolverError) else error and RuntimeError(repr(error))
+    result, shared = comm.bcast((result, ours))
+    if shared is not None:
+        raise error or shared
     return result
 
 

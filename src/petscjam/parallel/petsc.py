@@ -25,8 +25,8 @@ _options: list[str] = []
 
 
 def set_options(options: Sequence[str]) -> None:
-    """Hand PETSc the options given after ``--``; before the first solve."""
-    _options[:] = options
+    """Hand PETSc the options given after ``--``, before the first solve; it lists those it never read."""
+    _options[:] = [*options, "-options_left"] if options else []
 
 
 @cache

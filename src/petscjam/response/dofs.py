@@ -37,8 +37,9 @@ class Ownership:
 
     @classmethod
     def of(cls, packing: Packing, ranks: int) -> Ownership:
-        """Deal the disks of ``packing`` to ``ranks`` in equal strips along its second lattice vector."""
-        order = np.argsort(packing.box.fractional(packing.positions)[:, 1] % 1.0, kind="stable")
+        """Deal the disks of ``packing`` to ``ranks`` in equal strips along a short lattice vector."""
+        s = packing.positions @ np.linalg.inv(packing.box.reduced)
+        order = np.argsort(s[:, 1] % 1.0, kind="stable")
         owner = np.empty(len(packing), dtype=np.int64)
         for rank, disks in enumerate(np.array_split(order, ranks)):
             owner[disks] = rank
@@ -145,15 +146,11 @@ def sees(B: Form, motion: Field, comm: Any) -> bool:
 
 def _alternating(network: ContactNetwork) -> NDArray[np.float64]:
     """Return ±1 by the parity of the distance to the first backbone disk, 0 where not connected."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import breadth_first_order
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
 
     n = len(network.radii)
-    graph = coo_matrix((np.ones(len(network)), (network.i, network.j)), shape=(n, n))
+    graph = coo_array((np.ones(len(network)), (network.i, network.j)), shape=(n, n)).tocsr()
     start = int(np.argmax(network.backbone))
-    order, parent = breadth_first_order(graph.tocsr(), start, directed=False)
-    sign = np.zeros(n)
-    sign[start] = 1.0
-    for disk in order[1:]:
-        sign[disk] = -sign[parent[disk]]
-    return sign
+    steps = dijkstra(graph, directed=False, indices=start, unweighted=True)
+    return np.where(np.isfinite(steps), 1.0 - 2.0 * (steps % 2), 0.0)

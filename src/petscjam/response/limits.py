@@ -20,7 +20,7 @@ from petscjam.response.problem import LinearProblem
 from petscjam.response.solver import DirectSolver, direct_solver
 
 LARGEST_RESIDUAL = 1e-8
-SOFT = 1e-9  # weight of friction against stiffness where both hold a degree of freedom
+SOFT = 1e-8  # weight of friction against stiffness where both hold a degree of freedom
 
 
 class Limit(NamedTuple):
@@ -48,7 +48,7 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     fields, worst = [], 0.0
     with (
         assembled(problem.K_backbone, problem.B_backbone, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm) as solver,
+        direct_solver(problem.comm, "petscjam_static_") as solver,
     ):
         solver.factor(pencil.combine(1, 0))
         for forcing in pencil.k.T:
@@ -101,22 +101,35 @@ def _relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, 
 def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tuple[list[Motion], float]:
     """Solve for the degrees of freedom ``follow`` of each motion, the others given.
 
-    A rattler that touches its neighbours first avoids energy, then friction: K + SOFT·B. Where there is
-    no stiffness at all, SOFT drops out.
+    They minimise K + εB. Where there is no stiffness among them, ε drops out; a rattler that touches its
+    neighbours avoids energy first, then friction: the limit ε → 0, extrapolated from ε and ε/2.
     """
+    stiff = (total(problem.comm, problem.K.diagonal())[follow] > 0).any()
+    done, worst = _minimise(problem, follow, starts, SOFT)
+    if stiff:
+        half, residual = _minimise(problem, follow, starts, SOFT / 2)
+        done = [(2 * q2 - q1, s) for (q1, s), (q2, _) in zip(done, half, strict=True)]
+        worst = max(worst, residual)
+    _demand(worst, "B is singular on what K leaves free")
+    return done, worst
+
+
+def _minimise(
+    problem: LinearProblem, follow: NDArray, starts: list[Motion], soft: float
+) -> tuple[list[Motion], float]:
+    """Minimise K + ``soft``·B over the degrees of freedom ``follow``."""
     dofs = problem.number(follow)
     done, worst = [], 0.0
     with (
         assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm) as solver,
+        direct_solver(problem.comm, "petscjam_follow_") as solver,
     ):
-        solver.factor(pencil.combine(1, SOFT))
+        solver.factor(pencil.combine(1, soft))
         for q, s in starts:
-            pull: Field = total(problem.comm, problem.K.apply(q, s) + SOFT * problem.B.apply(q, s))
+            pull: Field = total(problem.comm, problem.K.apply(q, s) + soft * problem.B.apply(q, s))
             x, residual = solver.solve(-dofs.scatter(pull, problem.comm.rank))
             done.append((q + dofs.gather(x, problem.comm), s))
             worst = max(worst, residual)
-    _demand(worst, "B is singular on what K leaves free")
     return done, worst
 
 

@@ -21,13 +21,14 @@ from petscjam.network import ContactNetwork
 from petscjam.packing.certify import negative_modes
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root, resolve
-from petscjam.response.limits import Limit, infinite_frequency, quasistatic, zero_frequency
+from petscjam.progress import Report
+from petscjam.response.limits import LARGEST_RESIDUAL, Limit, infinite_frequency, quasistatic, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.response.solver import DirectSolver, direct_solver
 
-Progress = Callable[[float, str], None]
 T = TypeVar("T")
+ROUNDING = 1e-14  # of G0, relative to the largest modulus
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +91,14 @@ class ComplexModulus:
     performance: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def rigid(self) -> bool:
+        """Whether G0 > 0, beyond rounding."""
+        return bool(self.G0 > ROUNDING * abs(self.values).max())
+
+    @property
     def stable(self) -> bool:
-        """Whether G0 > 0 and K has no negative mode."""
-        return bool(self.G0 > 0 and self.negative_modes == 0)
+        """Whether G0 > 0, beyond rounding, and K has no negative mode; False where either is unknown."""
+        return self.rigid and self.negative_modes == 0
 
 
 def complex_modulus(
@@ -105,7 +111,7 @@ def complex_modulus(
     comm: Any = None,
     fields_at: ArrayLike = (),
     name: str = "packing",
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> ComplexModulus:
     """Solve (K + iωB)q = f at each frequency (BT eqs. 10–13) and for both limits.
 
@@ -142,6 +148,8 @@ def complex_modulus(
     if not np.isin(kept, omega).all():
         raise InputError(f"fields: {kept[~np.isin(kept, omega)].tolist()} are not frequencies of the sweep")
     law = ContactDamping() if damping is None else damping
+    if not isinstance(law, DampingLaw):
+        raise InputError(f"damping: {law!r} is not a law; take ContactDamping(…) or StokesDrag(…)")
     problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm)
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
@@ -150,7 +158,7 @@ def complex_modulus(
     dofs = problem.number(problem.active)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
-        direct_solver(comm) as solver,
+        direct_solver(comm, "petscjam_") as solver,
     ):
         for w, frequency in enumerate(omega):
             q, residuals[w], coupling = _solve(problem, pencil, solver, frequency)
@@ -158,19 +166,25 @@ def complex_modulus(
             if frequency in kept:
                 fields[kept == frequency] = problem.displacement(q)
             if progress:
-                progress((w + 1) / len(omega), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
+                progress((w + 1) / (len(omega) + 1), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
         memory, factorisations = solver.memory, solver.factorisations
         high = _or(Limit.unknown(), lambda: infinite_frequency(problem, pencil, solver), "G∞ and η∞", notes)
     low = _or(Limit.unknown(), lambda: zero_frequency(problem), "G0 and η0", notes)
     modes = _or(None, lambda: on_root(comm, negative_modes, problem.backbone, prestress),
                 "the number of negative modes", notes)  # fmt: skip
+    if progress:
+        progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
-        omega, values, residuals, balance,
-        low.G, low.eta, high.G, high.eta, np.array([low.residual, high.residual]),
-        modes, strain, str(law), prestress, describe(packing, problem.backbone, name), tuple(notes),
-        kept, fields, packing if len(kept) else None,
-        {"factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
-         "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)},
+        omega=omega, values=values, residuals=residuals, power_balance=balance,
+        G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
+        limit_residuals=np.array([low.residual, high.residual]), negative_modes=modes,
+        strain=strain, damping=str(law), prestress=prestress,
+        packing=describe(packing, problem.backbone, name), notes=tuple(notes),
+        field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
+        performance={
+            "factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
+            "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+        },
     )  # fmt: skip
 
 
@@ -220,7 +234,7 @@ def _solve(
     solver.factor(pencil.combine(1, 1j * omega))
     forcing = (pencil.k + 1j * omega * pencil.b)[:, 0]
     x, residual = solver.solve(-forcing)
-    if not residual < 1e-6:
+    if not residual < LARGEST_RESIDUAL:
         raise SolverError(f"the solve at ω = {omega:g} has residual {residual:.1e}; it cannot be trusted")
     return pencil.dofs.gather(x, problem.comm), residual, problem.comm.allreduce(complex(forcing @ x))
 
@@ -232,7 +246,7 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     B = problem.product(problem.B, motion, motion).real
     energy = K + 1j * omega * B
     schur = problem.affine[0] + 1j * omega * problem.affine[1] + coupling
-    return problem.modulus(energy), abs(schur - energy) / abs(energy)
+    return problem.modulus(energy), abs(schur - energy) / (abs(energy) or 1.0)
 
 
 def _or(otherwise: T, solve: Callable[[], T], what: str, notes: list[str]) -> T:

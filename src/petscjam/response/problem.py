@@ -36,14 +36,13 @@ class LinearProblem:
         whole = ContactNetwork.of(packing)
         self.backbone = whole.without_rattlers()
         self.network = whole if law.body else self.backbone
-        self.pressure = prestress * whole.pressure
+        self.pressure = prestress * self.network.pressure
         self.ownership = Ownership.of(packing, comm.size)
         my_disks = self.ownership.owner == comm.rank
 
         def forms(network: ContactNetwork) -> tuple[Form, Form]:
-            K = elastic_form(network, strains, prestress=prestress)
-            B = viscous_form(network, strains, law)
-            return K.share(my_disks, network), B.share(my_disks, network)
+            K = elastic_form(network, my_disks, strains, prestress=prestress)
+            return K, viscous_form(network, my_disks, strains, law)
 
         self.K, self.B = forms(self.network)
         self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)

@@ -16,12 +16,11 @@ from petscjam.parallel.petsc import destroying, petsc, stage
 
 OUT_OF_WORKSPACE = (-8, -9)
 LARGEST_WORKSPACE = 2000  # ICNTL(14), per cent above the estimate
-PREFIX = "petscjam_"
 GOOD_RESIDUAL = 1e-12
 
 
 class DirectSolver:
-    """Factor matrices and solve with them; options prefix ``petscjam_``.
+    """Factor matrices and solve with them; a user may put another solver behind ``prefix``.
 
     Attributes
     ----------
@@ -30,12 +29,12 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(self, comm: Any) -> None:
+    def __init__(self, comm: Any, prefix: str) -> None:
         PETSc = petsc()
         self.factorisations = 0
         self._A: Any = None
         self.ksp = PETSc.KSP().create(comm)
-        self.ksp.setOptionsPrefix(PREFIX)
+        self.ksp.setOptionsPrefix(prefix)
         self.ksp.setType(PETSc.KSP.Type.PREONLY)
         pc = self.ksp.getPC()
         pc.setType(PETSc.PC.Type.CHOLESKY)
@@ -53,30 +52,31 @@ class DirectSolver:
         if self._A is None:
             self.ksp.setFromOptions()
         self._A = A
+        if A.size[0] == 0:
+            return
         with stage("factor"):
             self.ksp.setUp()
-            while (code := self._code()) in OUT_OF_WORKSPACE and self._workspace() < LARGEST_WORKSPACE:
-                # PETSc does not factor again where MUMPS has failed; start from the analysis
-                workspace = max(4 * self._workspace(), 100)
-                petsc().Options(PREFIX).setValue("mat_mumps_icntl_14", workspace)
-                self.ksp.reset()
-                self.ksp.setOperators(A, A)
-                self.ksp.setUp()
+            while self._code() in OUT_OF_WORKSPACE and self._factor().getMumpsIcntl(14) < LARGEST_WORKSPACE:
+                self._enlarge(A)
         self.factorisations += 1
-        if code < 0:
-            raise SolverError(f"MUMPS could not factor the matrix: {_advice(code, self._factor())}")
+        if self._code() < 0:
+            raise SolverError(f"MUMPS could not factor the matrix: {_advice(self._code(), self._factor())}")
 
     def solve(self, rhs: NDArray) -> tuple[NDArray, float]:
         """Solve for the local rows ``rhs``; return the local rows of x and ‖Ax − f‖/‖f‖.
 
         One step of iterative refinement is taken where the residual is not yet at rounding.
         """
+        if self._A.size[0] == 0:
+            return rhs, 0.0
         f, x = self._A.createVecLeft(), self._A.createVecRight()
         r = f.duplicate()
         with destroying(f, x, r), stage("solve"):
             f.array[:] = rhs
             norm = f.norm() or 1.0
             self.ksp.solve(f, x)
+            if self.ksp.reason < 0:
+                raise SolverError(f"the solve failed (KSP reason {self.ksp.reason})")
             residual = self._residual(x, f, r) / norm
             if residual > GOOD_RESIDUAL:
                 correction = x.duplicate()
@@ -88,8 +88,8 @@ class DirectSolver:
 
     @property
     def memory(self) -> float:
-        """Memory of the factorisation on the rank that needs most, in MB (MUMPS INFOG(21))."""
-        return float(self._factor().getMumpsInfog(21))
+        """Memory of the factors on the rank that needs most, MB (MUMPS INFOG(21)); 0 without MUMPS."""
+        return float(self._factor().getMumpsInfog(21)) if self._mumps() else 0.0
 
     def _residual(self, x: Any, f: Any, r: Any) -> float:
         self._A.mult(x, r)
@@ -99,17 +99,40 @@ class DirectSolver:
     def _factor(self) -> Any:
         return self.ksp.getPC().getFactorMatrix()
 
-    def _workspace(self) -> int:
-        return int(self._factor().getMumpsIcntl(14))
+    def _mumps(self) -> bool:
+        pc = self.ksp.pc
+        return (
+            self._A is not None
+            and self._A.size[0] > 0
+            and pc.type in ("cholesky", "lu")
+            and pc.getFactorSolverType() == "mumps"
+        )
 
     def _code(self) -> int:
-        return int(self._factor().getMumpsInfog(1))
+        return int(self._factor().getMumpsInfog(1)) if self._mumps() else 0
+
+    def _enlarge(self, A: Any) -> None:
+        """Factor again with four times the extra workspace.
+
+        PETSc does not factor again where MUMPS has failed, so this starts from the analysis, which reads
+        the workspace from the options.
+        """
+        name = f"{self.ksp.prefix}mat_mumps_icntl_14"
+        options = petsc().Options()
+        before = options.getString(name) if options.hasName(name) else None
+        options.setValue(name, max(4 * self._factor().getMumpsIcntl(14), 100))
+        self.ksp.reset()
+        self.ksp.setOperators(A, A)
+        self.ksp.setUp()
+        options.delValue(name)
+        if before is not None:
+            options.setValue(name, before)
 
 
 @contextmanager
-def direct_solver(comm: Any) -> Iterator[DirectSolver]:
-    """Give a :class:`DirectSolver` and free it at the end."""
-    solver = DirectSolver(comm)
+def direct_solver(comm: Any, prefix: str) -> Iterator[DirectSolver]:
+    """Give a :class:`DirectSolver` with PETSc options ``prefix``, and free it at the end."""
+    solver = DirectSolver(comm, prefix)
     with destroying(solver.ksp):
         yield solver
 
