@@ -153,4 +153,5 @@ def _alternating(network: ContactNetwork) -> NDArray[np.float64]:
     graph = coo_array((np.ones(len(network)), (network.i, network.j)), shape=(n, n)).tocsr()
     start = int(np.argmax(network.backbone))
     steps = dijkstra(graph, directed=False, indices=start, unweighted=True)
-    return np.where(np.isfinite(steps), 1.0 - 2.0 * (steps % 2), 0.0)
+    reached = np.isfinite(steps)
+    return np.where(reached, 1.0 - 2.0 * (np.where(reached, steps, 0.0) % 2), 0.0)

@@ -48,7 +48,7 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     fields, worst = [], 0.0
     with (
         assembled(problem.K_backbone, problem.B_backbone, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm, "petscjam_static_") as solver,
+        direct_solver(problem.comm, "petscjam_static_", definite=problem.definite) as solver,
     ):
         solver.factor(pencil.combine(1, 0))
         for forcing in pencil.k.T:
@@ -122,7 +122,7 @@ def _minimise(
     done, worst = [], 0.0
     with (
         assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm, "petscjam_follow_") as solver,
+        direct_solver(problem.comm, "petscjam_follow_", definite=problem.definite) as solver,
     ):
         solver.factor(pencil.combine(1, soft))
         for q, s in starts:

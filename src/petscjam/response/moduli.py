@@ -8,7 +8,7 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,16 +18,14 @@ from petscjam.damping import ContactDamping, DampingLaw
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import negative_modes
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import on_root, resolve
+from petscjam.parallel.comm import resolve
 from petscjam.progress import Report
 from petscjam.response.limits import LARGEST_RESIDUAL, Limit, infinite_frequency, quasistatic, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.response.solver import DirectSolver, direct_solver
 
-T = TypeVar("T")
 ROUNDING = 1e-14  # of G0, relative to the largest modulus
 
 
@@ -154,11 +152,10 @@ def complex_modulus(
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
-    notes: list[str] = []
     dofs = problem.number(problem.active)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
-        direct_solver(comm, "petscjam_") as solver,
+        direct_solver(comm, "petscjam_", definite=problem.definite) as solver,
     ):
         for w, frequency in enumerate(omega):
             q, residuals[w], coupling = _solve(problem, pencil, solver, frequency)
@@ -168,18 +165,16 @@ def complex_modulus(
             if progress:
                 progress((w + 1) / (len(omega) + 1), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
         memory, factorisations = solver.memory, solver.factorisations
-        high = _or(Limit.unknown(), lambda: infinite_frequency(problem, pencil, solver), "G∞ and η∞", notes)
-    low = _or(Limit.unknown(), lambda: zero_frequency(problem), "G0 and η0", notes)
-    modes = _or(None, lambda: on_root(comm, negative_modes, problem.backbone, prestress),
-                "the number of negative modes", notes)  # fmt: skip
+        high = _limit(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
+    low = _limit(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
     if progress:
         progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
         omega=omega, values=values, residuals=residuals, power_balance=balance,
         G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
-        limit_residuals=np.array([low.residual, high.residual]), negative_modes=modes,
+        limit_residuals=np.array([low.residual, high.residual]), negative_modes=problem.negative_modes,
         strain=strain, damping=str(law), prestress=prestress,
-        packing=describe(packing, problem.backbone, name), notes=tuple(notes),
+        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
         field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
         performance={
             "factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
@@ -249,9 +244,9 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     return problem.modulus(energy), abs(schur - energy) / (abs(energy) or 1.0)
 
 
-def _or(otherwise: T, solve: Callable[[], T], what: str, notes: list[str]) -> T:
+def _limit(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
     try:
         return solve()
     except SolverError as error:
         notes.append(f"{what} could not be had: {error}")
-        return otherwise
+        return Limit.unknown()

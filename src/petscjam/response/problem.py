@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from petscjam.damping import DampingLaw, viscous_form
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
+from petscjam.packing.certify import negative_modes
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import total
+from petscjam.parallel.comm import on_root, total
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
 
 
 class LinearProblem:
     """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
 
-    Rattlers are taken out, unless the law drags them along. ``affine`` is (K_γγ, B_γγ).
+    Rattlers are taken out, unless the law drags them along. ``affine`` is (K_γγ, B_γγ); ``notes`` say what
+    could not be had, and why.
 
     Raises
     ------
@@ -33,6 +36,8 @@ class LinearProblem:
         if len(set(comm.allgather(packing.checksum))) > 1:
             raise InputError("packing: it differs between the ranks of the communicator")
         self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
+        self.prestress = prestress
+        self.notes: list[str] = []
         whole = ContactNetwork.of(packing)
         self.backbone = whole.without_rattlers()
         self.network = whole if law.body else self.backbone
@@ -51,6 +56,20 @@ class LinearProblem:
         self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
         self.affine = tuple(self.product(form, rigid, rigid) for form in (self.K, self.B))
+
+    @cached_property
+    def negative_modes(self) -> int | None:
+        """Number of negative eigenvalues of K on the pinned backbone; None, with a note, if unknown."""
+        try:
+            return on_root(self.comm, negative_modes, self.backbone, self.prestress)
+        except SolverError as error:
+            self.notes.append(f"the negative modes could not be counted: {error}")
+            return None
+
+    @property
+    def definite(self) -> bool:
+        """Whether K is known to be positive definite on the pinned backbone."""
+        return self.negative_modes == 0
 
     def number(self, active: Mask) -> Dofs:
         """Number the ``active`` (N, 3) degrees of freedom for this communicator."""

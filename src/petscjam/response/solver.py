@@ -29,9 +29,10 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(self, comm: Any, prefix: str) -> None:
+    def __init__(self, comm: Any, prefix: str, definite: bool) -> None:
         PETSc = petsc()
         self.factorisations = 0
+        self._definite = definite
         self._A: Any = None
         self.ksp = PETSc.KSP().create(comm)
         self.ksp.setOptionsPrefix(prefix)
@@ -55,6 +56,7 @@ class DirectSolver:
         if A.size[0] == 0:
             return
         with stage("factor"):
+            self._choose_pivoting()
             self.ksp.setUp()
             while self._code() in OUT_OF_WORKSPACE and self._factor().getMumpsIcntl(14) < LARGEST_WORKSPACE:
                 self._enlarge(A)
@@ -99,6 +101,16 @@ class DirectSolver:
     def _factor(self) -> Any:
         return self.ksp.getPC().getFactorMatrix()
 
+    def _choose_pivoting(self) -> None:
+        """Let MUMPS take pivots as they come (CNTL(1) = 0) where K and B are positive semi-definite.
+
+        Then LDLᵀ of K + iωB without pivoting is stable, its entries grow by less than 3 (Higham, Math.
+        Comp. 67, 1591, 1998), and it is faster.
+        """
+        if self._definite and self._mumps():
+            self.ksp.pc.setFactorSetUpSolverType()
+            self._factor().setMumpsCntl(1, 0.0)
+
     def _mumps(self) -> bool:
         pc = self.ksp.pc
         return (
@@ -123,6 +135,7 @@ class DirectSolver:
         options.setValue(name, max(4 * self._factor().getMumpsIcntl(14), 100))
         self.ksp.reset()
         self.ksp.setOperators(A, A)
+        self._choose_pivoting()
         self.ksp.setUp()
         options.delValue(name)
         if before is not None:
@@ -130,9 +143,12 @@ class DirectSolver:
 
 
 @contextmanager
-def direct_solver(comm: Any, prefix: str) -> Iterator[DirectSolver]:
-    """Give a :class:`DirectSolver` with PETSc options ``prefix``, and free it at the end."""
-    solver = DirectSolver(comm, prefix)
+def direct_solver(comm: Any, prefix: str, *, definite: bool) -> Iterator[DirectSolver]:
+    """Give a :class:`DirectSolver` with PETSc options ``prefix``, and free it at the end.
+
+    ``definite`` says that real and imaginary parts of the matrices are positive semi-definite.
+    """
+    solver = DirectSolver(comm, prefix, definite)
     with destroying(solver.ksp):
         yield solver
 
