@@ -77,6 +77,7 @@ def build_parser() -> Parser:
     """Return the parser of all verbs."""
     from petscjam.damping import LAWS
     from petscjam.kinematics import STRAINS
+    from petscjam.storage import release
 
     parser = Parser(
         prog="petscjam",
@@ -84,6 +85,7 @@ def build_parser() -> Parser:
         epilog="PETSc options go after --, e.g. … -- -log_view. Units: stiffness k = 1, mean diameter d = 1, "
         "time tau1 = 1, unless a packing brings its own length unit.",
     )
+    parser.add_argument("--version", action="version", version=f"petscjam {release('petscjam')}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
     p = add(verbs, "prepare", prepare, "make packings of bidisperse disks at a target pressure", RANKS)
