@@ -19,7 +19,7 @@ _WHERE = {
     "ContactNetwork": "network",
     "ContactDamping": "damping",
     "StokesDrag": "damping",
-    "ComplexModulus": "response.moduli",
+    "ComplexModulus": "response.result",
     "complex_modulus": "response.moduli",
     "elastic_constants": "response.moduli",
     "read_modulus": "io.results",

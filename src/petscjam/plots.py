@@ -13,7 +13,7 @@ import numpy as np
 from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
 from petscjam.report import state
-from petscjam.response.moduli import ComplexModulus
+from petscjam.response.result import ComplexModulus
 from petscjam.storage import write_atomically
 
 STORAGE, LOSS, UNSTABLE = "#1f5fa8", "#c8551b", "#8b1a1a"

@@ -8,7 +8,7 @@ import numpy as np
 
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
-from petscjam.response.moduli import ComplexModulus
+from petscjam.response.result import ComplexModulus
 
 
 def describe_packing(packing: Packing) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from petscjam.box import Box
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
-from petscjam.response.moduli import ComplexModulus
+from petscjam.response.result import ComplexModulus
 from petscjam.storage import HDF5_SIGNATURE, atomic_h5, naming, open_h5
 
 FORMAT, SCHEMA = "petscjam moduli", 1

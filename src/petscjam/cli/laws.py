@@ -1,0 +1,28 @@
+"""Damping laws as options: every field of every law is one."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import Field, fields
+
+from petscjam.damping import LAWS, DampingLaw
+from petscjam.errors import InputError
+
+
+def option(item: Field) -> str:
+    """Return the option of a field of a law; one that is on by default is turned off."""
+    return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
+
+
+def chosen_law(options: argparse.Namespace) -> DampingLaw:
+    """Return the damping law that the options describe; an option of another law is refused."""
+    law, settings = LAWS[options.damping], {}
+    for other in LAWS.values():
+        for item in fields(other):
+            value = getattr(options, item.name)
+            if value is None:
+                continue
+            if item.name not in [own.name for own in fields(law)]:
+                raise InputError(f"{option(item)} goes with --damping {other.name}, not with {law.name}")
+            settings[item.name] = value
+    return law(**settings)
