@@ -104,8 +104,9 @@ def test_provenance_comes_back(packing, tmp_path):
     assert Packing.read(tmp_path / "p.h5").provenance == origin
 
 
-def test_no_certificate_stays_none(written):
-    assert Packing.read(written).certificate is None
+def test_no_certificate_says_nothing(written):
+    assert Packing.read(written).certificate == Certificate()
+    assert Packing.read(written).certificate.proved is None
 
 
 # The layout that other programs rely on: H5MD 1.1, three-dimensional

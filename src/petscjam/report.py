@@ -26,7 +26,7 @@ def describe_packing(packing: Packing) -> str:
         f"contacts          {len(network)}, Z = {network.Z:.6g} on the backbone",
         f"checksum          {packing.checksum}",
     ]
-    if certificate is not None:
+    if certificate.max_force is not None:
         verdict = {None: "not judged", True: "yes", False: "no"}[certificate.proved]
         lines += [
             f"largest force     {certificate.max_force:.1e} p·d",

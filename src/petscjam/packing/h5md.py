@@ -34,6 +34,7 @@ PARTICLES, OURS = "particles/trajectory", "parameters/petscjam"
 REQUIRED = (
     OURS,
     f"{OURS}/provenance",
+    f"{OURS}/certificate",
     f"{PARTICLES}/position/value",
     f"{PARTICLES}/radius",
     f"{PARTICLES}/box/edges/value",
@@ -70,9 +71,8 @@ def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) 
             schema=SCHEMA, potential=packing.potential_name, checksum=packing.checksum, units=UNITS
         )
         ours["provenance"] = json.dumps(dict(packing.provenance), default=lambda value: value.tolist())
-        if packing.certificate:
-            known = {k: v for k, v in asdict(packing.certificate).items() if v is not None}
-            ours.create_group("certificate").attrs.update(known)
+        known = {k: v for k, v in asdict(packing.certificate).items() if v is not None}
+        ours.create_group("certificate").attrs.update(known)
 
 
 def read(path: str | PathLike[str]) -> Packing:
@@ -119,7 +119,5 @@ def _write_header(file: h5py.File) -> None:
     header.create_group("creator").attrs.update(name="petscjam", version=release("petscjam"))
 
 
-def _read_certificate(ours: h5py.Group) -> Certificate | None:
-    if "certificate" not in ours:
-        return None
+def _read_certificate(ours: h5py.Group) -> Certificate:
     return Certificate(**{name: value.item() for name, value in ours["certificate"].attrs.items()})

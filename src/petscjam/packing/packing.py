@@ -42,10 +42,10 @@ class Certificate:
         Whether this is a proved minimum; ``None`` until judged.
     """
 
-    max_force: float
-    rattlers: int
-    Z: float
-    pressure: float
+    max_force: float | None = None
+    rattlers: int | None = None
+    Z: float | None = None
+    pressure: float | None = None
     pressure_error: float | None = None
     negative_modes: int | None = None
     lowest_eigenvalue: float | None = None
@@ -64,7 +64,8 @@ class Packing:
     box : Box
     potential_name : str
         A name from :data:`petscjam.potential.POTENTIALS`.
-    certificate : Certificate or None
+    certificate : Certificate
+        Left out: one that says nothing.
     provenance : mapping
         Versions, parameters, seed: plain strings and numbers.
 
@@ -78,7 +79,7 @@ class Packing:
     radii: Array
     box: Box
     potential_name: str = "harmonic"
-    certificate: Certificate | None = None
+    certificate: Certificate = Certificate()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
