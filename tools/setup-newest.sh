@@ -19,6 +19,8 @@ fi
 [ -x .venv-newest/bin/python ] || /usr/bin/python3 -m venv .venv-newest
 python=.venv-newest/bin/python
 pip=("$python" -m pip --disable-pip-version-check install -q)
+# Libraries compiled here know the folder of the others; one from pip's cache may know another folder.
+compile=("${pip[@]}" --no-cache-dir)
 
 mumps=$(dirname "$(dpkg -L libmumps-dev libmumps-headers-dev 2>/dev/null | grep -m 1 '/zmumps_c\.h$')")
 export PETSC_CONFIGURE_OPTIONS="--with-scalar-type=complex --with-debugging=0 --with-x=0 \
@@ -28,15 +30,15 @@ export PETSC_CONFIGURE_OPTIONS="--with-scalar-type=complex --with-debugging=0 --
 
 . tools/mpi-env.sh
 "${pip[@]}" numpy mpi4py cython wheel 'setuptools>=77'
-"${pip[@]}" "petsc==$version"
+"${compile[@]}" "petsc==$version"
 PETSC_DIR=$("$python" -c 'import petsc; print(petsc.get_petsc_dir())')
 export PETSC_DIR
 # Without -g0 the compiler of the bindings needs 7 GB.
-CFLAGS=-g0 "${pip[@]}" --no-build-isolation "petsc4py==$version"
-"${pip[@]}" "slepc==$version"
+CFLAGS=-g0 "${compile[@]}" --no-build-isolation "petsc4py==$version"
+"${compile[@]}" "slepc==$version"
 SLEPC_DIR=$("$python" -c 'import slepc; print(slepc.get_slepc_dir())')
 export SLEPC_DIR
-CFLAGS=-g0 "${pip[@]}" --no-build-isolation "slepc4py==$version"
+CFLAGS=-g0 "${compile[@]}" --no-build-isolation "slepc4py==$version"
 "${pip[@]}" --no-build-isolation -e '.[test]'
 
 "$python" tools/check_stack.py
