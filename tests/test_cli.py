@@ -126,7 +126,8 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
     ("options", "named"),
     [
         (["--beta", "-1"], "-1"), (["--damping", "stokes", "--eta-fluid", "-2"], "-2"),
-        (["--omega", "0:1:5"], "0"), (["--omega=-1:1:5"], "-1"), (["--omega", "1:0.1:5"], "1:0.1:5"),
+        (["--omega", "0:1:5"], "0"), (["--omega=-1:1:5"], "-1"), (["--omega", "-1:1:5"], "-1"),
+        (["--omega", "1:0.1:5"], "1:0.1:5"),
         (["--omega", "1:10:0"], "1:10:0"), (["--omega", "fast"], "fast"), (["--omega", ""], "''"),
         (["--bta", "1"], "--beta"), (["--eta-fluid", "1"], "--eta-fluid"), (["--beta", "much"], "much"),
         (["--damping", "stokes", "--beta", "1"], "--beta"), (["--damping", "glue"], "glue"),
@@ -180,7 +181,9 @@ def two_pieces(tmp_path):
 
 
 def test_a_network_in_pieces(tmp_path, capfd):
-    assert "2 pieces" in refused(capfd, "moduli", two_pieces(tmp_path), "-o", tmp_path / "g.h5")
+    message = refused(capfd, "moduli", two_pieces(tmp_path), "-o", tmp_path / "g.h5")
+    assert "2 pieces" in message
+    assert "pieces.h5" in message
 
 
 def test_disk_full(packing, tmp_path, environment):
@@ -261,6 +264,19 @@ def test_mpirun_bad_input_ends_every_rank_with_one_message(packing, tmp_path, mp
     run = mpirun(3, "-m", "petscjam", "moduli", packing, "--beta", "-1", "-o", tmp_path / "g.h5", timeout=60)
     assert run.returncode == 2
     assert run.stderr.count("petscjam: ") == 1
+
+
+def test_mpirun_prepare_refuses_with_one_message(tmp_path, mpirun):
+    arguments = ["prepare", "--particles", 4, "--seeds", "1:1", "-o", tmp_path / "library"]
+    run = mpirun(2, "-m", "petscjam", *arguments, timeout=60)
+    assert run.returncode == 2
+    assert run.stderr.count("petscjam: ") == 1
+    assert "(rank" not in run.stderr
+    assert not (tmp_path / "library").exists()
+
+
+def test_mpirun_help_prints_once(mpirun):
+    assert mpirun(2, "-m", "petscjam", "--help").stdout.count("usage:") == 1
 
 
 def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):

@@ -330,7 +330,7 @@ def test_a_rank_that_owns_nothing(comm):
 
 @pytest.mark.parallel(nprocs=2)
 def test_different_packings_on_different_ranks_are_refused(comm):
-    with pytest.raises(pj.InputError, match="differs between the ranks"):
+    with pytest.raises(pj.InputError, match="differ between the ranks"):
         pj.complex_modulus(jax_md(comm.rank), [1.0], comm=comm)
 
 
@@ -339,6 +339,40 @@ def test_an_unstable_packing_is_flagged():
     g = pj.complex_modulus(square_lattice(4, 4), [1.0])
     assert g.G0 < 0
     assert not g.stable
+
+
+@pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag()], ids=str)
+def test_a_floppy_network_is_not_called_stable(law):
+    """A square lattice of springs shears for nothing, row by row: no G0, no η0, and a note that says why."""
+    g = pj.complex_modulus(square_lattice(4, 4), [1e-3, 1.0], damping=law, prestress=False)
+    assert np.isnan([g.G0, g.eta0]).all()
+    assert "floppy modes" in " ".join(g.notes)
+    assert not g.stable
+    assert g.negative_modes == 0
+
+
+@pytest.mark.parallel(nprocs=2)
+def test_different_frequencies_on_different_ranks_are_refused(comm):
+    with pytest.raises(pj.InputError, match="differ between the ranks"):
+        pj.complex_modulus(sixteen(), [1.0, -1.0][comm.rank], comm=comm)
+
+
+def test_the_user_can_bring_pivoting_back(workspace):
+    """The option holds at every factorisation of a sweep, not only at the first."""
+    from petscjam.response import solver
+
+    workspace("mat_mumps_cntl_1", 0.25)
+    seen = []
+
+    class Watched(solver.DirectSolver):
+        def factor(self, A):
+            super().factor(A)
+            seen.append(self._factor().getMumpsCntl(1))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solver, "DirectSolver", Watched)
+        pj.complex_modulus(triangles(6), [0.1, 1.0, 10.0], prestress=False)
+    assert seen[:4] == [0.25] * 4
 
 
 @pytest.mark.parametrize("omega", [[0.0], [-1.0], [np.nan], [np.inf], []])

@@ -1,7 +1,7 @@
 """The per-contact rows: the only place that knows signs.
 
 A contact c = (i, j) turns the motion of its two disks and the strain s of the cell into a normal and
-a tangential relative displacement (PHYSICS of BT eqs. 4–6, signs of docs/theory.md)
+a tangential relative displacement (BT eqs. 4–6 with the signs of docs/theory.md)
 
     Δu∥ = n·(u_j − u_i + s F′r),      Δu⊥ = t·(u_j − u_i + s F′r) − ρi θi − ρj θj,      t = ẑ × n.
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import redirect_stdout
+from io import StringIO
 from typing import Any
 
 from petscjam.errors import InputError, SolverError
@@ -42,8 +45,20 @@ def run(argv: list[str], comm: Any) -> int:
     cut = argv.index("--") if "--" in argv else len(argv)
     set_options(argv[cut + 1 :])
     parser = build_parser()
-    options, unknown = parser.parse_known_args(argv[:cut])
+    with redirect_stdout(StringIO() if comm.rank else sys.stdout):  # --help prints once
+        options, unknown = parser.parse_known_args(join_negative(argv[:cut]))
     if unknown:
         raise InputError(misspelt(unknown[0], options.known))
     options.work(options, comm)
     return 0
+
+
+def join_negative(argv: list[str]) -> list[str]:
+    """Turn ``--omega -1:1:5`` into ``--omega=-1:1:5``: argparse would take the value for an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and re.match(r"-[\d.]", word) and re.fullmatch(r"--[a-z-]+", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined

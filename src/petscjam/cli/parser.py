@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage."""
-        raise InputError(f"{self.prog.removeprefix('petscjam ')}: {message}")
+        raise InputError(f"{self.prog.removeprefix('petscjam').strip() or 'command line'}: {message}")
 
 
 def misspelt(option: str, known: list[str]) -> str:

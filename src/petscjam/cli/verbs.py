@@ -21,7 +21,7 @@ def say(comm: Any, text: str) -> None:
 def prepare(options: argparse.Namespace, comm: Any) -> None:
     """Deal the seeds to the ranks."""
     from petscjam.packing.packing import Packing
-    from petscjam.packing.prepare import prepare_packing
+    from petscjam.packing.prepare import check, prepare_packing
     from petscjam.progress import part, progress
     from petscjam.storage import check_output, naming
 
@@ -44,6 +44,8 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
         return True
 
     def left() -> list[int]:
+        for seed in many:
+            check(options.particles, options.pressure, seed, options.shear_stabilised, options.method)
         if folder:
             with naming(target):
                 target.mkdir(parents=True, exist_ok=True)
@@ -128,7 +130,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.progress import part, progress
     from petscjam.report import table
     from petscjam.response.moduli import complex_modulus
-    from petscjam.storage import check_output
+    from petscjam.storage import check_output, naming
 
     damping, omega = chosen_law(options), options.omega
     for w in options.fields:
@@ -158,11 +160,12 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
             group = group_name(packing, file.stem)
             if group in groups:
                 continue
-            result = complex_modulus(
-                packing, omega, damping=damping, strain=options.strain, prestress=settings["prestress"],
-                comm=comm, fields_at=kept, name=file.stem,
-                progress=part(report, k, len(files), f"{file.stem}: "),
-            )  # fmt: skip
+            with naming(file):
+                result = complex_modulus(
+                    packing, omega, damping=damping, strain=options.strain, prestress=settings["prestress"],
+                    comm=comm, fields_at=kept, name=file.stem,
+                    progress=part(report, k, len(files), f"{file.stem}: "),
+                )  # fmt: skip
             on_root(comm, append_modulus, result, options.output, group, fresh=fresh)
             groups.add(group)
             fresh = False

@@ -15,6 +15,8 @@ from petscjam.kinematics import SIMPLE_SHEAR, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Certificate, Packing
 
+EPS = float(np.finfo(float).eps)
+
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
@@ -38,41 +40,60 @@ def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:
     """Count the negative eigenvalues of K_uu on the backbone, one disk pinned.
 
-    The pivots of LDLᵀ have the signs of the eigenvalues (Sylvester). K is shifted up by a little more
-    than the factorisation can round, so that zero modes do not count.
+    Raises
+    ------
+    SolverError
+        If they cannot be counted.
+    """
+    return modes(packing, prestress)[0]
+
+
+def modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[int, int]:
+    """Count the negative and the zero eigenvalues of K_uu on the backbone, one disk pinned.
+
+    Zero is what lies within a shift that is a little more than the factorisation can round. Without
+    pre-stress K is a sum of squares, and none is negative.
 
     Raises
     ------
     SolverError
-        If the factorisation exchanged rows, or rounded more than the shift.
+        If they cannot be counted.
     """
-    from scipy.sparse import identity
-    from scipy.sparse.linalg import splu
-
     network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
     K = hessian(network, prestress)[2:, 2:]
     if K.shape[0] == 0:  # one disk, and its images
-        return 0
-    eps = float(np.finfo(float).eps)
-    shift = 1e4 * eps * abs(K.diagonal()).max()
-    lu = splu(
-        (K + shift * identity(K.shape[0])).tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+        return 0, 0
+    shift = 1e4 * EPS * abs(K.diagonal()).max()
+    negative = _count_below(K, -shift) if prestress else 0
+    return negative, _count_below(K, shift) - negative
+
+
+def _count_below(K: csc_array, sigma: float) -> int:
+    """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester)."""
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import splu
+
+    try:
+        lu = splu(
+            (K - sigma * eye_array(K.shape[0])).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except (RuntimeError, MemoryError) as error:
+        raise SolverError(f"the factorisation of K failed: {error}") from error
     if (lu.perm_r != lu.perm_c).any():
-        raise SolverError("certify: the factorisation of K exchanged rows; its pivots do not count modes")
+        raise SolverError("the factorisation of K exchanged rows; its pivots do not count modes")
     L, U = lu.L, lu.U
-    negative = int((U.diagonal() < 0).sum())
+    below = int((U.diagonal() < 0).sum())
     for factor in (L, U):
         np.abs(factor.data, out=factor.data)
-    rounding = eps * (L @ (U @ np.ones(K.shape[0]))).max()
-    if rounding > shift:
+    rounding = EPS * (L @ (U @ np.ones(K.shape[0]))).max()
+    if rounding > abs(sigma):
         raise SolverError(
-            f"certify: the factorisation of K rounds by up to {rounding:.1e}, its shift is only {shift:.1e}"
+            f"the factorisation of K rounds by up to {rounding:.1e}, its shift is only {abs(sigma):.1e}"
         )
-    return negative
+    return below
 
 
 def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
@@ -87,7 +108,6 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
     """
     network = ContactNetwork.of(packing)
     pressure = network.pressure
-    modes = negative_modes(network)
     certificate = Certificate(
         max_force=float(np.linalg.norm(network.residual_force, axis=1).max())
         / (pressure * packing.mean_diameter),
@@ -95,6 +115,6 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
         Z=network.Z,
         pressure=pressure,
         pressure_error=None if target_pressure is None else abs(pressure / target_pressure - 1),
-        negative_modes=modes,
+        negative_modes=negative_modes(network),
     )
     return replace(packing, certificate=certificate)

@@ -65,7 +65,7 @@ def prepare_packing(
     SolverError
         If the tolerances are not reached within two million force evaluations.
     """
-    _check(n, pressure, seed, shear_stabilised, method)
+    check(n, pressure, seed, shear_stabilised, method)
     radii = np.where(np.arange(n) < n - n // 2, 0.5 / 1.2, 0.7 / 1.2)
     length = _edge(radii, 0.845 + 2.5 * pressure)
     # Half of what is promised: whoever recomputes the forces from the file rounds differently.
@@ -142,7 +142,8 @@ def _rounding_floor(length: float) -> float:
     return 4 * float(np.finfo(float).eps) * length
 
 
-def _check(n: int, pressure: float, seed: int, shear_stabilised: bool, method: str) -> None:
+def check(n: int, pressure: float, seed: int, shear_stabilised: bool, method: str) -> None:
+    """Raise the InputError that :func:`prepare_packing` would raise on these arguments."""
     if not isinstance(n, Integral) or n < 8:
         raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {n!r}")
     if not isinstance(pressure, Real) or not 0 < pressure < 0.5:

@@ -44,6 +44,9 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     SolverError
         If K is singular on the pinned backbone.
     """
+    if problem.modes is None or problem.modes[1]:
+        count = "an unknown number of" if problem.modes is None else problem.modes[1]
+        raise SolverError(f"K has {count} floppy modes on the backbone")
     dofs = problem.number(problem.pinned_backbone)
     fields, worst = [], 0.0
     with (
@@ -60,9 +63,11 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
 
 
 def zero_frequency(problem: LinearProblem) -> Limit:
-    """Return G0, η0 for the first strain mode (PHYSICS: Limits)."""
+    """Return G0, η0 for the first strain mode (docs/theory.md, Limits)."""
     fields, residual = quasistatic(problem)
     still: Motion = (fields[0], _unit(problem))
+    if problem.pressed_rattlers:
+        problem.notes.append("rattlers are pressed: not in mechanical equilibrium, η0 may be off")
     G0 = problem.product(problem.K_backbone, still, still).real
     moving, slack = _relax_dissipation(problem, still)
     eta = problem.product(problem.B, moving, moving).real

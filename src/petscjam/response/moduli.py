@@ -69,6 +69,8 @@ def complex_modulus(
         If a solve fails or its residual is not small.
     """
     comm = resolve(comm)
+    lists = np.asarray(omegas).tolist(), np.asarray(fields_at).tolist()
+    _agree(comm, packing, *lists, damping, strain, prestress)
     omega = frequencies(omegas)
     kept = frequencies(fields_at, empty=True)
     if not np.isin(kept, omega).all():
@@ -95,12 +97,15 @@ def complex_modulus(
         memory, factorisations = solver.memory, solver.factorisations
         high = _limit(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
     low = _limit(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
+    if balance.max() > LARGEST_RESIDUAL:
+        problem.notes.append(f"the power balance is open by {balance.max():.1e}: G* is lost in rounding")
     if progress:
         progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
         omega=omega, values=values, residuals=residuals, power_balance=balance,
         G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
-        limit_residuals=np.array([low.residual, high.residual]), negative_modes=problem.negative_modes,
+        limit_residuals=np.array([low.residual, high.residual]),
+        negative_modes=None if problem.modes is None else problem.modes[0],
         strain=strain, damping=str(law), prestress=prestress,
         packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
         field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
@@ -122,8 +127,10 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = N
     SolverError
         If K is singular on the backbone.
     """
+    comm = resolve(comm)
+    _agree(comm, packing, prestress)
     # which law is immaterial: only K enters
-    problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, resolve(comm))
+    problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, comm)
     fields, _ = quasistatic(problem)
     motions = list(zip(fields, np.eye(3), strict=True))
     C = [[problem.product(problem.K_backbone, a, b).real for b in motions] for a in motions]
@@ -148,6 +155,12 @@ def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, 
         "pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
         "potential": packing.potential_name,
     }  # fmt: skip
+
+
+def _agree(comm: Any, packing: Packing, *settings: Any) -> None:
+    """Refuse arguments that differ between ranks: those would wait for each other forever."""
+    if len(set(comm.allgather((packing.checksum, *map(repr, settings))))) > 1:
+        raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
 
 
 def _solve(

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from petscjam.damping import DampingLaw, viscous_form
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import negative_modes
+from petscjam.packing.certify import modes
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
@@ -27,14 +27,12 @@ class LinearProblem:
     Raises
     ------
     InputError
-        If the packing has no contacts, falls apart, or is not the same on every rank.
+        If the packing has no contacts, or falls apart.
     """
 
     def __init__(
         self, packing: Packing, law: DampingLaw, strains: Sequence[StrainMode], prestress: bool, comm: Any
     ) -> None:
-        if len(set(comm.allgather(packing.checksum))) > 1:
-            raise InputError("packing: it differs between the ranks of the communicator")
         self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
         self.prestress = prestress
         self.notes: list[str] = []
@@ -58,18 +56,23 @@ class LinearProblem:
         self.affine = tuple(self.product(form, rigid, rigid) for form in (self.K, self.B))
 
     @cached_property
-    def negative_modes(self) -> int | None:
-        """Number of negative eigenvalues of K on the pinned backbone; None, with a note, if unknown."""
+    def modes(self) -> tuple[int, int] | None:
+        """Numbers of negative and zero modes of K on the pinned backbone; None, with a note, if unknown."""
         try:
-            return on_root(self.comm, negative_modes, self.backbone, self.prestress)
+            return on_root(self.comm, modes, self.backbone, self.prestress)
         except SolverError as error:
             self.notes.append(f"the negative modes could not be counted: {error}")
             return None
 
     @property
+    def pressed_rattlers(self) -> bool:
+        """Whether rattlers bear forces: the packing is not in equilibrium, and K is indefinite there."""
+        return self.prestress and len(self.network) > len(self.backbone)
+
+    @property
     def definite(self) -> bool:
-        """Whether K is known to be positive definite on the pinned backbone."""
-        return self.negative_modes == 0
+        """Whether K is known to have no negative mode."""
+        return self.modes is not None and self.modes[0] == 0 and not self.pressed_rattlers
 
     def number(self, active: Mask) -> Dofs:
         """Number the ``active`` (N, 3) degrees of freedom for this communicator."""

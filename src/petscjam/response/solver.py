@@ -49,14 +49,15 @@ class DirectSolver:
         SolverError
             If MUMPS fails, with its code and advice.
         """
-        self.ksp.setOperators(A, A)
-        if self._A is None:
-            self.ksp.setFromOptions()
+        first = self._A is None
         self._A = A
         if A.size[0] == 0:
             return
-        with stage("factor"):
+        self.ksp.setOperators(A, A)
+        if first:
+            self.ksp.setFromOptions()
             self._choose_pivoting()
+        with stage("factor"):
             self.ksp.setUp()
             while self._code() in OUT_OF_WORKSPACE and self._factor().getMumpsIcntl(14) < LARGEST_WORKSPACE:
                 self._enlarge(A)
@@ -140,6 +141,7 @@ class DirectSolver:
         options.delValue(name)
         if before is not None:
             options.setValue(name, before)
+            options.hasName(name)  # or PETSc would report it as never read
 
 
 @contextmanager
@@ -160,7 +162,7 @@ def _advice(code: int, factor: Any) -> str:
             "use more ranks, or more memory a rank"
         )
     if code == -13:
-        return "out of memory (INFOG(1) = -13); use more ranks, or -petscjam_mat_mumps_icntl_22 1 after --"
+        return "out of memory (INFOG(1) = -13); use more ranks, or MUMPS out of core (mat_mumps_icntl_22 1)"
     if code in (-6, -10):
         return f"the matrix is singular (INFOG(1) = {code}): there are free motions that nothing resists"
     return f"INFOG(1) = {code}, INFOG(2) = {factor.getMumpsInfog(2)} (MUMPS manual, section on errors)"
