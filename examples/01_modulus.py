@@ -1,6 +1,6 @@
 """G*(ω) of a packing just above jamming: prepare, solve, look at the limits.
 
-mpirun -n 2 python examples/01_modulus.py
+mpirun -n 2 python -m mpi4py examples/01_modulus.py    (-m mpi4py: an error on one rank ends both)
 """
 
 import numpy as np

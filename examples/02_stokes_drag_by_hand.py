@@ -1,6 +1,6 @@
 """Stokes drag needs no matrix inversion: G* is a sum over the modes of K (docs: Theory).
 
-mpirun -n 2 python examples/02_stokes_drag_by_hand.py
+mpirun -n 2 python -m mpi4py examples/02_stokes_drag_by_hand.py    (-m mpi4py: an error on one rank ends both)
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 Exact without pre-stress, for every packing; with it, nearly so (BT Fig. 4a).
 
-    mpirun -n 2 python -m mpi4py examples/03_kelvin_voigt.py    (-m mpi4py: an error on one rank ends both)
+mpirun -n 2 python -m mpi4py examples/03_kelvin_voigt.py    (-m mpi4py: an error on one rank ends both)
 """
 
 import numpy as np
