@@ -17,7 +17,7 @@ from petscjam.parallel.comm import exit_together
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status, the same on every rank."""
-    # A rank that waits gives way to other work: on a shared machine up to five times faster (Open MPI).
+    # A rank that waits gives way to other work (Open MPI): much faster where the cores are shared.
     os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
     from mpi4py import MPI
 

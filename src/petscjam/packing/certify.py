@@ -45,7 +45,8 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
     SolverError
         If they cannot be counted.
     """
-    return modes(packing, prestress)[0]
+    K, shift = _pinned(packing, prestress)
+    return _count_below(K, -shift)
 
 
 def modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[int, int]:
@@ -59,13 +60,16 @@ def modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[in
     SolverError
         If they cannot be counted.
     """
-    network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
-    K = hessian(network, prestress)[2:, 2:]
-    if K.shape[0] == 0:  # one disk, and its images
-        return 0, 0
-    shift = 1e4 * EPS * abs(K.diagonal()).max()
+    K, shift = _pinned(packing, prestress)
     negative = _count_below(K, -shift) if prestress else 0
     return negative, _count_below(K, shift) - negative
+
+
+def _pinned(packing: Packing | ContactNetwork, prestress: bool) -> tuple[csc_array, float]:
+    """Return K_uu of the backbone without its first disk, and what counts as zero in it."""
+    network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
+    K = hessian(network, prestress)[2:, 2:]
+    return K, 1e4 * EPS * float(abs(K.diagonal()).max(initial=0.0))
 
 
 def _count_below(K: csc_array, sigma: float) -> int:
@@ -73,6 +77,8 @@ def _count_below(K: csc_array, sigma: float) -> int:
     from scipy.sparse import eye_array
     from scipy.sparse.linalg import splu
 
+    if K.shape[0] == 0:  # one disk, and its images
+        return 0
     try:
         lu = splu(
             (K - sigma * eye_array(K.shape[0])).tocsc(),

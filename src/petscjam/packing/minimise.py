@@ -139,7 +139,7 @@ def conjugate_gradients(h: Enthalpy, z: Array, done: Done) -> Array:
 def _line_minimum(h: Enthalpy, z: Array, d: Array, slope0: float, step: float) -> tuple[Array, Array, float]:
     """Find where the slope of H along ``d`` has risen from slope0 < 0 to zero, within 5 %, by secants.
 
-    At 10 %, twice as many gradients were needed at p = 1e-5; at 2 %, as many.
+    A looser search takes more gradients at low pressure, a tighter one no fewer.
     """
     limit = 0.1 * h.diameter / float(np.abs(d).max())
     step = min(step, limit)

@@ -119,5 +119,7 @@ def stage(name: str) -> Iterator[None]:
     """Name a stretch of work in PETSc's ``-log_view``."""
     log = petsc().Log.Stage(f"petscjam: {name}")
     log.push()
-    yield
-    log.pop()
+    try:
+        yield
+    finally:
+        log.pop()
