@@ -139,15 +139,6 @@ def test_h5md_species_numbers_the_sizes(packing, written):
         assert (file["particles/trajectory/species"][()] == (packing.radii > 1.2)).all()
 
 
-def test_mdanalysis_opens_it(packing, written):
-    mda = pytest.importorskip("MDAnalysis")
-    universe = mda.Universe.empty(len(packing), trajectory=True)
-    universe.load_new(str(written), format="H5MD", convert_units=False)
-    assert np.abs(universe.atoms.positions[:, :2] - packing.positions).max() < 1e-6
-    vectors = mda.lib.mdamath.triclinic_vectors(universe.dimensions)
-    assert np.abs(vectors[:2, :2] - packing.box.cell).max() < 1e-5
-
-
 # jamBashBulk: numbers of its own log
 
 

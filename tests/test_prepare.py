@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,16 +12,23 @@ import pytest
 from petscjam.box import Box
 from petscjam.errors import InputError, SolverError
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import certify, hessian, negative_modes
+from petscjam.packing.certify import certify, elastic_tensor, hessian, negative_modes
 from petscjam.packing.minimise import METHODS, Enthalpy
+from petscjam.packing.newton import newton
 from petscjam.packing.packing import Packing
-from petscjam.packing.prepare import prepare_packing
+from petscjam.packing.prepare import prepare_packing, relax_packing
+from petscjam.response.moduli import complex_modulus
 
 P = 1e-3
 EPS = np.finfo(float).eps
 CASES = [
-    dict(n=64), dict(n=64, method="fire"), dict(n=256, pressure=1e-4), dict(n=64, pressure=0.1),
+    dict(n=64), dict(n=256, pressure=1e-4), dict(n=64, pressure=0.1),
     dict(n=64, potential_name="harmonic-relative"), dict(n=65), dict(n=8), dict(n=10),
+    dict(n=64, method="cg"),
+    dict(n=64, shear_stabilised=True), dict(n=64, potential_name="hertzian"),
+    dict(n=64, potential_name="hertzian-relative", shear_stabilised=True),
+    dict(n=64, ratio=1.0, polydispersity=0.1), dict(n=64, ratio=2.0, composition=0.7),
+    dict(n=64, pressure=1e-6),
 ]  # fmt: skip
 
 
@@ -31,11 +39,17 @@ def random_disks(n: int, phi: float, seed: int = 5) -> Packing:
     return Packing(np.random.default_rng(seed).random((n, 2)) @ box.cell, radii, box)
 
 
-def state(packing: Packing, pressure: float | None = None) -> tuple[Enthalpy, np.ndarray]:
-    """The enthalpy of a packing and its z, in a reference cell 3 % smaller than the true one."""
-    scale = 1.03
-    h = Enthalpy(packing.radii, packing.box.cell[0, 0] / scale, pressure)
-    return h, np.append(packing.positions / scale, h.weight * np.log(scale))
+def tilted(packing: Packing) -> Packing:
+    """The same disks sheared along with their cell."""
+    F = np.array([[1.0, 0.3], [0.1, 0.95]])
+    return Packing(packing.positions @ F.T, packing.radii, packing.box.deformed(F), packing.potential_name)
+
+
+def deformed(h: Enthalpy) -> np.ndarray:
+    """A z of ``h`` with a cell that has grown by 3 % and, where it may, sheared."""
+    z = h.start.copy()
+    z[2 * len(h.radii) :] = 0.03 * h.weight
+    return z
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: " ".join(f"{v}" for v in case.values()))
@@ -72,8 +86,21 @@ def test_contacts_suffice_for_rigidity(prepared):
 def test_certificate_repeats_the_network(prepared):
     packing, network, target = prepared
     c = packing.certificate
-    expected = network.rattlers, network.Z, network.pressure, abs(network.pressure / target - 1), None
-    assert (c.rattlers, c.Z, c.pressure, c.pressure_error, c.proved) == expected
+    assert (c.rattlers, c.Z, c.pressure) == (network.rattlers, network.Z, network.pressure)
+    assert c.pressure_error == pytest.approx(abs(network.pressure / target - 1), abs=1e-15)
+    assert c.contacts == len(network.without_rattlers())
+
+
+def test_every_packing_is_proved(prepared):
+    assert prepared[0].certificate.proved is True
+
+
+def test_lowest_eigenvalues_are_those_of_the_dense_matrix(prepared):
+    packing, network, _ = prepared
+    dense = np.linalg.eigvalsh(hessian(network).toarray())
+    c = packing.certificate
+    assert abs(dense[:2]).max() < 1e-12  # translations
+    assert np.allclose(c.eigenvalues, dense[2:6], rtol=0, atol=1e-12 + c.eigenvalue_error)
 
 
 def test_sizes_are_bidisperse():
@@ -101,15 +128,34 @@ def test_progress_grows_to_one():
     assert len(seen) > 3 and 0 <= min(seen) < 0.7 and seen[-1] == 1 == max(seen)
 
 
-@pytest.mark.parametrize("packing", [random_disks(8, 2.5), random_disks(64, 1.5), random_disks(64, 0.86)])
-def test_kernel_agrees_with_network(packing):
-    network = ContactNetwork.of(packing)
-    h, z = state(packing)
+PACKED = [random_disks(8, 2.5), random_disks(64, 1.5), random_disks(64, 0.86), tilted(random_disks(64, 1.2)),
+          random_disks(9000, 0.9)]  # fmt: skip
+
+
+@pytest.mark.parametrize("potential_name", ["harmonic", "hertzian-relative"])
+@pytest.mark.parametrize("packing", PACKED)
+def test_kernel_agrees_with_network(packing, potential_name):
+    """In a deformed cell; ContactNetwork finds its pairs, and adds them up, by another program."""
+    packing = replace(packing, potential_name=potential_name)
+    h = Enthalpy(packing, 0.1, shape=True)
+    z = deformed(h)
     g = h.gradient(z)
-    energy = 0.5 * (network.force**2 / network.stiffness).sum()
+    _, F = h.unpack(z)
+    network = ContactNetwork.of(h.at(z))
+    sigma = network.radii[network.i] + network.radii[network.j]
+    energy = packing.potential.energy(network.distance, sigma).sum()
     assert h.energy == pytest.approx(energy, rel=1e-12)
-    assert h.pressure == pytest.approx(network.pressure, rel=1e-12)
-    assert np.allclose(-g[:-1].reshape(-1, 2) / 1.03, network.residual_force, atol=1e-12)
+    assert np.allclose(h.stress, network.stress[[0, 0, 1], [0, 1, 1]], rtol=1e-12, atol=1e-13)
+    forces = -g[: 2 * len(packing)].reshape(-1, 2) @ np.linalg.inv(F)
+    assert np.allclose(forces, network.residual_force[h.order], atol=1e-12)
+    assert h.force == pytest.approx(np.linalg.norm(network.residual_force, axis=1).max(), rel=1e-12)
+
+
+def test_threads_change_nothing():
+    one, two = (Enthalpy(random_disks(9000, 0.9), threads=threads) for threads in (1, 2))
+    assert np.array_equal(one.gradient(one.start), two.gradient(two.start))
+    assert one.energy == two.energy
+    assert np.array_equal(*(METHODS["fire"](h, h.start, (1e-3, 0.0, 0.0)) for h in (one, two)))
 
 
 def test_two_images_of_a_disk_are_two_contacts():
@@ -118,16 +164,18 @@ def test_two_images_of_a_disk_are_two_contacts():
     assert np.unique(pairs, axis=1).shape[1] < len(network)
 
 
-def test_gradient_is_the_derivative_to_second_order():
-    """The central difference of H, box included, errs by h²."""
-    packing = random_disks(16, 1.2)
-    h, z = state(packing, pressure=0.1)
+@pytest.mark.parametrize("shape", [False, True])
+def test_gradient_is_the_derivative_to_second_order(shape):
+    """The central difference of H, cell included, errs by h²."""
+    packing = tilted(random_disks(16, 1.2))
+    h = Enthalpy(packing, 0.1, shape=shape)
+    z = deformed(h)
     direction = np.random.default_rng(0).normal(size=z.size)
     slope = h.gradient(z) @ direction
 
     def enthalpy(at):
         h.gradient(at)
-        return h.energy + 0.1 * (h.length * h.unpack(at)[1]) ** 2
+        return h.energy + 0.1 * packing.box.area * np.linalg.det(h.unpack(at)[1])
 
     errors = [
         abs((enthalpy(z + step * direction) - enthalpy(z - step * direction)) / (2 * step) - slope)
@@ -136,24 +184,130 @@ def test_gradient_is_the_derivative_to_second_order():
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
 
 
-def test_neighbour_list_never_misses_a_contact():
-    """Disks that wander, in a box that shrinks, have the energy of a fresh list."""
-    packing = random_disks(64, 1.0)
-    h, z = state(packing)
+@pytest.mark.parametrize("n", [16, 400])
+def test_neighbour_list_never_misses_a_contact(n):
+    """Disks that wander, in a cell that shrinks and shears, have the energy of a fresh list."""
+    packing = random_disks(n, 1.0)
+    h = Enthalpy(packing, 0.1, shape=True)
+    z = h.start
     rng = np.random.default_rng(1)
     for _ in range(50):
-        z = z + np.append(rng.normal(scale=0.02, size=z.size - 1), -0.03)
+        z = z + np.append(rng.normal(scale=0.02, size=2 * n), h.weight * np.array([-2e-3, 4e-3, -2e-3]))
         h.gradient(z)
-        fresh = Enthalpy(packing.radii, h.length)
-        fresh.gradient(z)
-        assert h.energy == pytest.approx(fresh.energy, rel=1e-12)
+        fresh = ContactNetwork.of(h.at(z))
+        assert h.energy == pytest.approx(0.5 * (fresh.force**2 / fresh.stiffness).sum(), rel=1e-9)
+
+
+def test_fire_and_conjugate_gradients_and_newton_end_in_one_minimum():
+    """From nearby, all three do; Newton's method converges quadratically."""
+    packing = prepare_packing(64, P, seed=2)
+    shaken = replace(
+        packing, positions=packing.positions + 1e-7 * np.random.default_rng(0).normal(size=(64, 2))
+    )
+    goal = (1e-13, 0.0, 1e-13)
+    ends = []
+    for method in (*METHODS.values(), newton):
+        h = Enthalpy(shaken, P)
+        ends.append(ContactNetwork.of(h.at(method(h, h.start, goal))))
+        assert h.reached(goal)
+    assert h.evaluations <= 4
+    for end in ends[1:]:
+        assert np.allclose(end.force, ends[0].force, atol=1e-11)
 
 
 def test_budget_spent_is_an_error_that_says_where_it_stands():
-    packing = random_disks(16, 0.9)
-    h = Enthalpy(packing.radii, packing.box.cell[0, 0], P, budget=10)
+    h = Enthalpy(random_disks(16, 0.9), P, budget=10)
     with pytest.raises(SolverError, match=r"after 10 force evaluations; .* \(target 0.001"):
-        METHODS["cg"](h, np.append(packing.positions, 0.0), lambda h: False)
+        METHODS["cg"](h, h.start, (0.0, 0.0, 0.0))
+
+
+def test_a_target_that_is_not_reached_within_the_budget_is_an_error():
+    with pytest.raises(SolverError, match="not converged after 200 force evaluations"):
+        prepare_packing(64, P, budget=200)
+
+
+def square_lattice(m: int = 6) -> Packing:
+    """Equal disks, squeezed, each with four contacts: forces balance, but rows slide over each other."""
+    x = np.stack(np.meshgrid(np.arange(m), np.arange(m)), axis=-1).reshape(-1, 2) + 0.5
+    return Packing(x * 0.98, np.full(m * m, 0.5), Box.square(0.98 * m))
+
+
+def test_a_saddle_is_seen_and_not_proved():
+    c = certify(square_lattice()).certificate
+    dense = np.linalg.eigvalsh(hessian(ContactNetwork.of(square_lattice())).toarray())
+    assert c.max_force < 1e-12 and c.proved is False
+    assert c.negative_modes == (dense < -1e-9).sum() > 0
+
+
+@pytest.mark.parametrize("shear_stabilised", [False, True])
+def test_negative_modes_are_followed_downhill(shear_stabilised):
+    packing = relax_packing(square_lattice(), 0.01, shear_stabilised=shear_stabilised)
+    assert packing.certificate.proved and packing.certificate.negative_modes == 0
+
+
+def test_a_cell_that_yields_to_shear_is_followed_downhill():
+    """Stabilising a shear-unstable packing ends in another cell, at the same pressure."""
+    unstable = next(
+        p for seed in range(1, 20) if (p := prepare_packing(32, P, seed)).certificate.shear_modulus < 0
+    )
+    stable = relax_packing(unstable, P, shear_stabilised=True)
+    assert stable.certificate.proved and stable.certificate.shear_modulus > 0
+    assert stable.certificate.stress_error < 1e-9
+
+
+def test_relaxing_what_is_relaxed_changes_little():
+    packing = prepare_packing(64, P)
+    again = relax_packing(packing, P)
+    assert abs(again.positions - packing.positions).max() < 1e-9
+    assert again.certificate.proved
+
+
+def test_decompression_lowers_the_density():
+    packing = prepare_packing(64, 1e-2)
+    lower = relax_packing(packing, 1e-3)
+    assert lower.phi < packing.phi and lower.certificate.pressure_error < 1e-9 and lower.certificate.proved
+
+
+def test_constant_volume_keeps_the_cell():
+    packing = random_disks(64, 0.9)
+    relaxed = relax_packing(packing)
+    assert np.array_equal(relaxed.box.cell, packing.box.cell) and relaxed.certificate.proved
+
+
+def test_softest_shear_bounds_the_modulus_of_every_direction():
+    """pj.complex_modulus of the packing, turned: its G0 is the modulus of simple shear along x."""
+    packing = prepare_packing(64, 1e-2, seed=2)
+    moduli = []
+    for angle in np.linspace(0, np.pi, 60, endpoint=False):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turned = Packing(packing.positions @ turn.T, packing.radii, packing.box.deformed(turn))
+        C, _ = elastic_tensor(ContactNetwork.of(turned))
+        moduli.append(C[1, 1])
+        if angle == 0:
+            g = complex_modulus(packing, [1.0])
+            assert C[1, 1] == pytest.approx(g.G0, rel=1e-9)
+    softest = packing.certificate.shear_modulus
+    assert softest <= min(moduli) + 1e-12 and min(moduli) - softest < 0.01 * np.ptp(moduli)
+
+
+def test_history_tells_the_preparation():
+    history = prepare_packing(256, P).provenance["history"]
+    assert len({len(values) for values in history.values()}) == 1 and len(history["phi"]) > 3
+    assert np.all(np.diff(history["evaluations"]) > 0)
+    assert history["force"][-1] < 1e-3 * history["force"][0]
+
+
+@pytest.mark.parametrize(
+    "options", [dict(ratio=1.4), dict(ratio=2.0, composition=0.25), dict(polydispersity=0.1)]
+)
+def test_radii_are_as_asked(options):
+    radii = prepare_packing(64, 1e-2, **options).radii
+    small = int(64 * options.get("composition", 0.5))
+    assert 2 * radii.mean() == pytest.approx(1, abs=0.03 if "polydispersity" in options else 1e-12)
+    assert radii[small:].mean() / radii[:small].mean() == pytest.approx(options.get("ratio", 1.4), rel=0.05)
+    assert radii[:small].std() / radii[:small].mean() == pytest.approx(
+        options.get("polydispersity", 0), abs=0.03
+    )
 
 
 @pytest.mark.parametrize("prestress", [True, False])
@@ -191,7 +345,8 @@ def test_hessian_is_the_derivative_of_the_force_to_second_order():
         (dict(pressure=np.inf), "inf"),
         (dict(pressure=1e-12), "1e-12"), (dict(pressure="1e-3"), "'1e-3'"), (dict(seed=-1), "-1"),
         (dict(seed=1.5), "1.5"), (dict(method="newton"), "'newton'"), (dict(potential_name="lj"), "'lj'"),
-        (dict(shear_stabilised=True), "shear_stabilised"),
+        (dict(ratio=0), "ratio .* not 0"), (dict(ratio=-1.4), "-1.4"), (dict(composition=1.2), "1.2"),
+        (dict(polydispersity=-0.1), "-0.1"), (dict(budget=0), "not 0"), (dict(n=1), "not 1"),
     ],
 )  # fmt: skip
 def test_bad_input_is_named(arguments, named):

@@ -269,9 +269,9 @@ def test_conjugate_at_negative_frequency():
     """A(−ω) = A(ω)*, so the solution is conjugate: checked on the assembled pencil."""
     from petscjam.kinematics import SIMPLE_SHEAR
     from petscjam.parallel.comm import resolve
+    from petscjam.parallel.solver import direct_solver
     from petscjam.response.matrices import assembled
     from petscjam.response.problem import LinearProblem
-    from petscjam.response.solver import direct_solver
 
     comm = resolve()
     problem = LinearProblem(jax_md(), pj.ContactDamping(), [SIMPLE_SHEAR], True, comm)
@@ -359,7 +359,7 @@ def test_different_frequencies_on_different_ranks_are_refused(comm):
 
 def test_the_user_can_bring_pivoting_back(workspace):
     """The option holds at every factorisation of a sweep, not only at the first."""
-    from petscjam.response import solver
+    from petscjam.parallel import solver
 
     workspace("mat_mumps_cntl_1", 0.25)
     seen = []

@@ -146,8 +146,10 @@ def contact_rows(
         shape=(2 * len(network), 3 * len(network.radii)),
     )
     rows.sum_duplicates()  # a disk that touches its own image
-    affine = np.stack([network.r @ mode.gradient.T for mode in strains], axis=-1)
-    return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine).reshape(-1, len(strains))
+    affine = np.zeros((len(network), 2, len(strains)))
+    for s, mode in enumerate(strains):
+        affine[..., s] = network.r @ mode.gradient.T
+    return rows, np.einsum("kcx,cxs->cks", np.stack([n, t]), affine).reshape(rows.shape[0], len(strains))
 
 
 def form(

@@ -68,7 +68,7 @@ class ContactNetwork:
         law = packing.potential
         network = cls(
             i, j, r, law.force(distance, sigma), law.stiffness(distance, sigma),
-            radii, packing.box.area, _backbone(i, j, len(radii)),
+            radii, packing.box.area, backbone(i, j, len(radii)),
         )  # fmt: skip
         rounding = 4 * np.finfo(float).eps * network.stiffness * np.sqrt(network.area)
         counts = network.force > np.maximum(1e-10 * network.pressure * packing.mean_diameter, rounding)
@@ -150,7 +150,8 @@ class ContactNetwork:
         return int(connected_components(graph, directed=False)[0] - self.rattlers)
 
 
-def _backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:
+def backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:
+    """Mark, of ``n`` disks, those left when all with fewer than three contacts are removed, repeatedly."""
     alive = np.ones(n, dtype=bool)
     while True:
         inside = alive[i] & alive[j]

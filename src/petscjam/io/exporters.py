@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from petscjam.box import Array, Box, Integers
 from petscjam.errors import InputError
+from petscjam.io.importers import gsd_library
 from petscjam.packing.packing import Packing
-from petscjam.storage import check_output, write_atomically
+from petscjam.storage import check_output, naming, release, write_atomically
 
 
 def export_packing(
@@ -19,22 +23,23 @@ def export_packing(
     Raises
     ------
     InputError
-        If the format is unknown, or ``path`` exists (unless ``overwrite``) or cannot be written.
+        If the format is unknown or its library missing, or ``path`` exists (unless ``overwrite``) or
+        cannot be written.
     """
     if to not in FORMATS:
         raise InputError(f"export: {to!r} is unknown; known are {', '.join(FORMATS)}")
     check_output(path, overwrite=overwrite)
-    write_atomically(path, FORMATS[to](packing))
+    with naming(path):
+        write_atomically(path, FORMATS[to](packing))
 
 
 def extended_xyz(packing: Packing) -> bytes:
     """Extended XYZ, as OVITO and ASE read it; :func:`petscjam.import_packing` gives back the same bits.
 
     The third lattice vector is one largest diameter. Species are chemical symbols, because some readers
-    insist, by size from H on; "X" where there are more than ten sizes.
+    insist.
     """
-    _, size = np.unique(packing.radii, return_inverse=True)
-    symbols = SYMBOLS if size.max() < len(SYMBOLS) else ["X"] * (size.max() + 1)
+    symbols, species = _species(packing.radii)
     (ax, ay), (bx, by) = packing.box.cell.tolist()
     lattice = f"{ax!r} {ay!r} 0 {bx!r} {by!r} 0 0 0 {2 * packing.radii.max()}"
     lines = [
@@ -42,10 +47,62 @@ def extended_xyz(packing: Packing) -> bytes:
         f'Lattice="{lattice}" Properties=species:S:1:pos:R:3:radius:R:1 pbc="T T F" '
         f"potential={packing.potential_name} source_checksum={packing.checksum}",
     ]
-    for s, (x, y), radius in zip(size, packing.positions.tolist(), packing.radii.tolist(), strict=True):
+    for s, (x, y), radius in zip(species, packing.positions.tolist(), packing.radii.tolist(), strict=True):
         lines.append(f"{symbols[s]} {x!r} {y!r} 0 {radius!r}")  # repr gives the digits that round-trip
     return "\n".join([*lines, ""]).encode()
 
 
+def gsd(packing: Packing) -> bytes:
+    """GSD of HOOMD's schema 1.4, as HOOMD-blue, OVITO and freud read it: single precision.
+
+    HOOMD puts the first lattice vector along x, the second above it and the origin into the middle of the
+    cell. So the packing is turned by the angle of its first vector and wrapped into the cell, and a second
+    vector that would point below the x-axis is reversed; it spans the same lattice.
+    """
+    library = gsd_library()
+    a, b = packing.box.cell
+    b = b * np.sign(a[0] * b[1] - a[1] * b[0])
+    width = np.hypot(*a)
+    height, tilt = packing.box.area / width, a @ b / width
+    s = Box(np.array([a, b])).fractional(packing.positions)
+    frame = library.hoomd.Frame()
+    frame.configuration.dimensions = 2
+    frame.configuration.box = [width, height, 0, tilt / height, 0, 0]
+    frame.particles.N = len(packing)
+    frame.particles.position = np.pad(
+        (s - np.floor(s) - 0.5) @ [[width, 0], [tilt, height]], ((0, 0), (0, 1))
+    ).astype(np.float32)
+    frame.particles.diameter = (2 * packing.radii).astype(np.float32)
+    frame.particles.types, frame.particles.typeid = _species(packing.radii)
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "packing.gsd")
+        # The schema is named because that of gsd's own open, 2.0 since version 5, is new to many readers.
+        with library.fl.open(
+            str(path),
+            "w",
+            application=f"petscjam {release('petscjam')}",
+            schema="hoomd",
+            schema_version=[1, 4],
+        ) as file:
+            library.hoomd.HOOMDTrajectory(file).append(frame)
+        return path.read_bytes()
+
+
+def h5md(packing: Packing) -> bytes:
+    """Our own file, which MDAnalysis reads (:mod:`petscjam.packing.h5md` says how)."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "packing.h5")
+        packing.write(path)
+        return path.read_bytes()
+
+
+def _species(radii: Array) -> tuple[list[str], Integers]:
+    """Return names by size, from H on, and which each disk has; X for all if there are more than ten."""
+    sizes, species = np.unique(radii, return_inverse=True)
+    if len(sizes) > len(SYMBOLS):
+        return ["X"], np.zeros(len(radii), dtype=int)
+    return SYMBOLS[: len(sizes)], species
+
+
 SYMBOLS = ["H", "He", "Li", "Be", "B", "C", "N", "O", "F", "Ne"]
-FORMATS = {"xyz": extended_xyz}
+FORMATS = {"xyz": extended_xyz, "gsd": gsd, "h5md": h5md}

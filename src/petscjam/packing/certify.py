@@ -1,21 +1,27 @@
-"""Judge a packing: residual forces, pressure, and the number of unstable modes.
+"""Judge a packing: residual forces, stress, and whether it is a minimum of the energy.
 
-Axes: i disk of the backbone, x Cartesian.
+Force balance is half of a proof. The other half is a count of the modes of K with pre-stress: SLEPc gives
+the lowest eigenvalues, and the pivots of one LDLᵀ of K − λ₁/2 say that none was missed.
+
+Axes: i disk of the backbone, x Cartesian, s strain.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from petscjam.box import Array
 from petscjam.errors import SolverError
-from petscjam.kinematics import SIMPLE_SHEAR, elastic_form
+from petscjam.kinematics import SIMPLE_SHEAR, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Certificate, Packing
 
 EPS = float(np.finfo(float).eps)
+EIGENVALUES = 4
+GRADIENTS = [StrainMode("", np.outer(a, b)) for a in np.eye(2) for b in np.eye(2)]  # F = 1 + s e_a e_bᵀ
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -29,12 +35,19 @@ def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
     InputError
         If there is no backbone, or it falls apart into pieces.
     """
+    return _elasticity(network, prestress, [SIMPLE_SHEAR])[0]  # the mode plays no part
+
+
+def _elasticity(
+    network: ContactNetwork, prestress: bool, strains: list[StrainMode]
+) -> tuple[csc_array, Array, Array]:
+    """Return K_uu of the backbone, K_us (2n, S) and K_ss (S, S)."""
     network = network.without_rattlers()
     everybody = np.ones(len(network.radii), dtype=bool)
-    K = elastic_form(network, everybody, [SIMPLE_SHEAR], prestress=prestress)  # the mode plays no part
+    K = elastic_form(network, everybody, strains, prestress=prestress)
     displacements = np.flatnonzero(np.outer(network.backbone, [True, True, False]))
-    A = K.rows[:, displacements]
-    return (A.T @ A.multiply(K.weights[:, None])).tocsc()
+    A, a, w = K.rows[:, displacements], K.strain_rows, K.weights[:, None]
+    return (A.T @ A.multiply(w)).tocsc(), A.T @ (w * a), a.T @ (w * a) + K.extra
 
 
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:
@@ -69,7 +82,11 @@ def _pinned(packing: Packing | ContactNetwork, prestress: bool) -> tuple[csc_arr
     """Return K_uu of the backbone without its first disk, and what counts as zero in it."""
     network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
     K = hessian(network, prestress)[2:, 2:]
-    return K, 1e4 * EPS * float(abs(K.diagonal()).max(initial=0.0))
+    return K, _zero(K)
+
+
+def _zero(K: csc_array) -> float:
+    return 1e4 * EPS * float(abs(K.diagonal()).max(initial=0.0))
 
 
 def _count_below(K: csc_array, sigma: float) -> int:
@@ -102,25 +119,237 @@ def _count_below(K: csc_array, sigma: float) -> int:
     return below
 
 
+@dataclass(frozen=True, eq=False)
+class Instability:
+    """A motion along which the energy (or, with strain, the enthalpy) falls.
+
+    Attributes
+    ----------
+    displacement : (N, 2)
+        Of every disk, beyond the affine motion.
+    strain : (2, 2)
+        F − 1.
+    """
+
+    displacement: Array
+    strain: Array
+
+
+def lowest_modes(
+    K: csc_array, count: int = EIGENVALUES, *, from_below: bool = False
+) -> tuple[Array, Array, Array]:
+    """Return the lowest eigenvalues of K (2n, 2n), translations left out, with vectors and residuals.
+
+    SLEPc's Krylov–Schur, with shift and invert (MUMPS LDLᵀ) a little below zero. That misses eigenvalues
+    far below zero; ``from_below`` iterates with K itself, slowly, and finds them first.
+
+    Returns
+    -------
+    values : (m,)
+        Ascending; m = min(count, 2n − 2).
+    vectors : (m, 2n)
+        Real, normalised.
+    residuals : (m,)
+        ‖Kv − λv‖. K has an eigenvalue within this distance of λ.
+
+    Raises
+    ------
+    SolverError
+        If the eigensolver does not converge.
+    """
+    from mpi4py import MPI
+
+    from petscjam.parallel.matrix import symmetric_matrix
+    from petscjam.parallel.petsc import destroying, slepc
+
+    SLEPc, size = slepc(), K.shape[0]
+    count = min(count, size - 2)
+    if count < 1:
+        return np.empty(0), np.empty((0, size)), np.empty(0)
+    rows = K.tocsr()
+    rows.sort_indices()
+    matrix = symmetric_matrix(rows.indptr, rows.indices, rows.data, size, MPI.COMM_SELF)
+    eps = SLEPc.EPS().create(MPI.COMM_SELF)
+    translations = [matrix.createVecRight() for _ in range(2)]
+    with destroying(matrix, eps, *translations):
+        for axis, vector in enumerate(translations):
+            vector.array[axis::2] = (size / 2) ** -0.5
+        eps.setOptionsPrefix("modes_")
+        eps.setOperators(matrix)
+        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
+        eps.setDeflationSpace(translations)
+        eps.setDimensions(count)
+        eps.setTolerances(1e-10, 10_000)
+        if from_below:
+            eps.setWhichEigenpairs(SLEPc.EPS.Which.SMALLEST_REAL)
+        else:
+            _shift_and_invert(eps, -1e-6 * float(np.median(rows.diagonal())))
+        eps.setFromOptions()
+        eps.solve()
+        if eps.getConverged() < count:
+            raise SolverError(f"SLEPc found {eps.getConverged()} of {count} modes (reason {eps.reason})")
+        return _real_pairs(K, eps, count)
+
+
+def _shift_and_invert(eps: Any, shift: float) -> None:
+    eps.setTarget(shift)
+    eps.setWhichEigenpairs(eps.Which.TARGET_MAGNITUDE)
+    transform = eps.getST()
+    transform.setType("sinvert")
+    ksp = transform.getKSP()
+    ksp.setType("preonly")
+    ksp.getPC().setType("cholesky")
+    ksp.getPC().setFactorSolverType("mumps")
+
+
+def _real_pairs(K: csc_array, eps: Any, count: int) -> tuple[Array, Array, Array]:
+    """Turn complex vectors of a real symmetric K, with their arbitrary phases, into real ones (Ritz)."""
+    vector = eps.getOperators()[0].createVecRight()
+    columns = []
+    for k in range(count):
+        eps.getEigenpair(k, vector)
+        columns += [vector.array.real.copy(), vector.array.imag.copy()]
+    vector.destroy()
+    basis, sizes, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
+    basis = basis[:, sizes > 1e-6 * sizes[0]]
+    values, rotation = np.linalg.eigh(basis.T @ (K @ basis))
+    vectors = (basis @ rotation)[:, :count]
+    residuals = np.linalg.norm(K @ vectors - vectors * values[:count], axis=0)
+    return values[:count], vectors.T, residuals
+
+
+def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
+    """Second derivative of the energy of relaxed disks with respect to F, and how the disks relax.
+
+    Returns
+    -------
+    C : (4, 4)
+        Per area, in the order xx, xy, yx, yy of F.
+    u : (n, 2, 4)
+        Non-affine motion of the backbone per unit of each, its first disk at rest.
+    """
+    from mpi4py import MPI
+
+    from petscjam.parallel.matrix import symmetric_matrix
+    from petscjam.parallel.petsc import destroying
+    from petscjam.parallel.solver import direct_solver
+
+    K, across, own = _elasticity(network, True, GRADIENTS)
+    u = np.zeros_like(across)
+    pinned = K[2:, 2:].tocsr()
+    pinned.sort_indices()
+    size = pinned.shape[0]
+    matrix = symmetric_matrix(pinned.indptr, pinned.indices, pinned.data, size, MPI.COMM_SELF)
+    with destroying(matrix), direct_solver(MPI.COMM_SELF, "certify_", definite=False) as solver:
+        solver.factor(matrix)
+        for s in range(len(GRADIENTS)):
+            u[2:, s] = -solver.solve(across[2:, s])[0].real
+    return (own + across.T @ u) / network.area, u.reshape(-1, 2, len(GRADIENTS))
+
+
+def softest_shear(C: Array) -> float:
+    """Lowest modulus of simple shear F = 1 + γ m⊗n, m ⟂ n, over all directions, of C (4, 4).
+
+    As in Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703: a packing is stable against shear if it is in
+    every direction. The modulus is a trigonometric polynomial of degree 4 in the angle, so 720 angles show
+    its minimum to 1e-4 of its variation.
+    """
+    angle = np.linspace(0, np.pi, 720, endpoint=False)
+    m, n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    gradient = np.einsum("aw,bw->wab", m, n).reshape(-1, 4)
+    return float(np.einsum("wa,ab,wb->w", gradient, C, gradient).min())
+
+
 def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
-    """Return ``packing`` with a certificate of what is measured on it.
+    """Return ``packing`` with a certificate of what is measured on it, and the verdict.
+
+    It is a proved minimum if the forces balance to max(1e-10·p·d, 4·ε·k·L), the pressure is within
+    max(1e-9·p, 4·ε·k·L/d) of the target, K with pre-stress on the backbone has no negative mode and none at
+    zero but the translations, and its lowest eigenvalue exceeds ten times its residual. A packing that was
+    stabilised against shear must also have an isotropic pressure tensor, to the same tolerance, and resist
+    shear in every direction.
 
     Raises
     ------
     InputError
         If the packing is not jammed.
     SolverError
-        If its negative modes cannot be counted.
+        If its modes cannot be computed.
     """
+    return judge(packing, target_pressure)[0]
+
+
+def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packing, Instability | None]:
+    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one."""
     network = ContactNetwork.of(packing)
-    pressure = network.pressure
+    K = hessian(network)
+    pressure, diameter = network.pressure, packing.mean_diameter
+    floor = 4 * EPS * float(network.stiffness.max()) * packing.box.area**0.5
+    force = float(np.linalg.norm(network.residual_force, axis=1).max())
+    anisotropy = float(abs(network.stress - pressure * np.eye(2)).max())
+    miss = 0.0 if target_pressure is None else abs(pressure - target_pressure)
+    values, vectors, residuals = lowest_modes(K)
+    negative, zero = _count(network, K, values, residuals)
+    if negative and not (values < 0).any():
+        values, vectors, residuals = lowest_modes(K, from_below=True)
+    stabilised = bool(packing.provenance.get("shear_stabilised", False))
+    sound = negative == zero == 0
+    shear, way_down = None, None
+    if negative:
+        way_down = Instability(_on_all(vectors[0].reshape(-1, 2), network), np.zeros((2, 2)))
+    elif zero == 0:
+        C, u = elastic_tensor(network)
+        shear = softest_shear(C)
+        if stabilised:
+            curvature, strain = _softest_cell(C, pressure)
+            sound = curvature > 0 and shear > 0 and anisotropy <= max(1e-9 * pressure, floor / diameter)
+            if curvature <= 0:
+                way_down = Instability(_on_all(u @ strain, network), strain.reshape(2, 2))
     certificate = Certificate(
-        max_force=float(np.linalg.norm(network.residual_force, axis=1).max())
-        / (pressure * packing.mean_diameter),
+        max_force=force / (pressure * diameter),
         rattlers=network.rattlers,
+        contacts=len(network.without_rattlers()),
         Z=network.Z,
         pressure=pressure,
-        pressure_error=None if target_pressure is None else abs(pressure / target_pressure - 1),
-        negative_modes=negative_modes(network),
+        pressure_error=None if target_pressure is None else miss / target_pressure,
+        stress_error=anisotropy / pressure,
+        negative_modes=negative,
+        zero_modes=zero,
+        eigenvalues=tuple(values.tolist()),
+        eigenvalue_error=float(residuals.max(initial=0.0)),
+        shear_modulus=shear,
+        proved=bool(
+            sound
+            and force <= max(1e-10 * pressure * diameter, floor)
+            and miss <= max(1e-9 * pressure, floor / diameter)
+            and (values > 10 * residuals).all()
+        ),
     )
-    return replace(packing, certificate=certificate)
+    return replace(packing, certificate=certificate), way_down
+
+
+def _count(network: ContactNetwork, K: csc_array, values: Array, residuals: Array) -> tuple[int, int]:
+    """Count negative and zero modes. One factorisation does if the lowest eigenvalue is well above zero."""
+    if len(values) == 0:
+        return 0, 0
+    if values[0] > max(10 * residuals[0], 2 * _zero(K)) and _count_below(K, values[0] / 2) == 2:
+        return 0, 0  # nothing lies below λ₁/2 but the translations
+    return modes(network)
+
+
+def _softest_cell(C: Array, pressure: float) -> tuple[float, Array]:
+    """Return the lowest curvature of the enthalpy per area along an upper triangular strain, and that."""
+    strains = [0, 1, 3]  # xx, xy, yy
+    H = C[np.ix_(strains, strains)]
+    H[0, 2] += pressure  # second derivative of p·det F
+    H[2, 0] += pressure
+    values, vectors = np.linalg.eigh(H)
+    strain = np.zeros(4)
+    strain[strains] = vectors[:, 0]
+    return float(values[0]), strain
+
+
+def _on_all(u: Array, network: ContactNetwork) -> Array:
+    everybody = np.zeros((len(network.radii), 2))
+    everybody[network.backbone] = u
+    return everybody

@@ -15,9 +15,9 @@ x.) What H5MD has no place for is in /parameters/petscjam.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -120,4 +120,10 @@ def _write_header(file: h5py.File) -> None:
 
 
 def _read_certificate(ours: h5py.Group) -> Certificate:
-    return Certificate(**{name: value.item() for name, value in ours["certificate"].attrs.items()})
+    known = {field.name for field in fields(Certificate)}
+    stored: dict[str, Any] = {
+        name: value.tolist() for name, value in ours["certificate"].attrs.items() if name in known
+    }
+    if "eigenvalues" in stored:
+        stored["eigenvalues"] = tuple(stored["eigenvalues"])
+    return Certificate(**stored)

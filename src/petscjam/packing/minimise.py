@@ -1,138 +1,293 @@
 """Minimise the energy of soft disks at constant volume, or their enthalpy at constant pressure.
 
-Nonlinear conjugate gradients as in BT sec. 2.1, and FIRE to compare it with.
+FIRE, and nonlinear conjugate gradients as in BT sec. 2.1.
 
-Axes: i disk, c pair of the neighbour list, x Cartesian.
+Axes: i disk, c pair of the neighbour list, x Cartesian, s strain of the cell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petscjam.box import Array, Box
 from petscjam.errors import SolverError
-from petscjam.potential import potential
+from petscjam.packing.packing import Packing
+
+NOTHING = np.zeros((0, 2, 2))
+SIZE = np.eye(2)[None]
+SHAPE = np.array([[[1, 0], [0, 0]], [[0, 1], [0, 0]], [[0, 0], [0, 1]]], dtype=float)
+REPORT_EVERY = 200
+Goal = tuple[float, float, float]  # largest force; the same in units of the pressure; error of the stress
 
 
 class Enthalpy:
-    """H = U + pV of disks in a square cell, as a function of one flat vector z, (2N + 1,).
+    """H = U + pV of disks in a periodic cell, as a function of one flat vector z, (2N + S,).
 
-    z holds the positions in a reference cell of edge ``length`` and, last, w·ln(L/length). With
-    w = √N d the curvature of H along the box is about that along a disk: kNd²/w² = k.
+    z holds the positions in the cell as it was given, sorted in space, and then w·e for each strain that
+    relaxes: the deformation gradient is F = 1 + Σ e_s E_s. With w = √N d the curvature of H along a strain
+    is about that along a disk: kNd²/w² = k.
 
     Parameters
     ----------
-    radii : (N,)
-    length : float
-        Edge of the reference cell.
+    packing : Packing
     pressure : float or None
-        Target; ``None`` keeps the box as it is.
-    potential_name : str
-    skin : float
-        How far beyond contact the neighbour list reaches, in mean diameters.
-    budget : int
-        Gradients that may be evaluated.
+        Target; ``None`` keeps the cell as it is.
+    shape : bool
+        Whether both shears of the cell relax, too, and not only its size.
+    threads : int
+        Matters from two times 4096 disks on, and only for the time it takes.
+    budget, evaluations : int
+        Gradients that may be evaluated, and how many of them have been.
     report : callable
-        Called now and then with the object itself.
+        Called now and then with the object itself and z.
 
     Attributes
     ----------
-    energy, pressure, force : float
-        U, Σ f·r / (2V) and the largest net force on a disk, of the last gradient.
+    start : (2N + S,)
+        The z of ``packing``.
+    energy, force : float
+        U, and the largest net force on a disk, of the last gradient.
+    stress : (3,)
+        Pressure tensor Σ f r⊗n / V of the last gradient: xx, xy, yy.
     evaluations : int
         Gradients evaluated so far.
     """
 
     def __init__(
         self,
-        radii: Array,
-        length: float,
+        packing: Packing,
         pressure: float | None = None,
         *,
-        potential_name: str = "harmonic",
-        skin: float = 0.3,
+        shape: bool = False,
+        threads: int = 1,
         budget: int = 2_000_000,
-        report: Callable[[Enthalpy], None] | None = None,
+        evaluations: int = 0,
+        report: Callable[[Enthalpy, Array], None] | None = None,
     ) -> None:
-        self.radii, self.length, self.target = radii, length, pressure
-        self.diameter = float(2 * radii.mean())
-        self.weight = len(radii) ** 0.5 * self.diameter
-        self.skin = skin * self.diameter
-        self.law = potential(potential_name)
+        self.packing, self.target = packing, pressure
+        self.strains = NOTHING if pressure is None else SHAPE if shape else SIZE
+        self.diameter = packing.mean_diameter
+        self.weight = len(packing) ** 0.5 * self.diameter
+        self.cell = self.strains, self.weight, np.nan if pressure is None else pressure, packing.box.area
+        self.exponent = packing.potential.exponent
         self.budget, self.report = budget, report
-        self.evaluations = 0
-        self.energy = self.pressure = self.force = float("nan")
-        self._built: tuple[Array, float] | None = None
+        self.evaluations = evaluations
+        self.energy = self.force = np.nan
+        self.stress = np.full(3, np.nan)
+        x = packing.box.wrap(packing.positions)
+        self.order = np.lexsort((x[:, 0], np.floor(x[:, 1] / self.diameter)))
+        self.radii = packing.radii[self.order]
+        self.start = np.append(x[self.order], np.zeros(len(self.strains)))
+        self.largest = 2 * float(packing.radii.max())
+        self.skin = 0.3 * self.diameter
+        self._threads = _use_threads(threads, len(packing))
+        self._true = np.empty_like(x)
+        self._built, self._built_at = np.empty(0), evaluations
 
-    def unpack(self, z: Array) -> tuple[Array, float]:
-        """Return the positions in the reference cell, (N, 2), and L/length."""
-        return z[:-1].reshape(-1, 2), float(np.exp(z[-1] / self.weight))
+    @property
+    def pressure(self) -> float:
+        """Half the trace of the pressure tensor."""
+        return float(self.stress[0] + self.stress[2]) / 2
+
+    @property
+    def stress_error(self) -> float:
+        """Largest error of what the cell relaxes: the pressure, or every part of the pressure tensor."""
+        from petscjam.packing.kernels import stress_error
+
+        return float(stress_error(self.stress, self.cell))
+
+    def unpack(self, z: Array) -> tuple[Array, Array]:
+        """Return the positions in the reference cell, sorted, (N, 2), and F, (2, 2)."""
+        n = 2 * len(self.radii)
+        return z[:n].reshape(-1, 2), np.eye(2) + np.tensordot(z[n:] / self.weight, self.strains, 1)
+
+    def at(self, z: Array) -> Packing:
+        """Return the packing that ``z`` stands for, its disks in their first order."""
+        in_order, F = self.unpack(z)
+        x = np.empty_like(in_order)
+        x[self.order] = in_order @ F.T
+        box = self.packing.box.deformed(F) if len(self.strains) else self.packing.box
+        return replace(self.packing, positions=x, box=box)
+
+    def reached(self, goal: Goal) -> bool:
+        """Whether the last gradient meets ``goal``."""
+        from petscjam.packing.kernels import reached
+
+        return bool(reached(self.force, self.stress, self.cell, goal))
+
+    def distance(self, goal: Goal) -> float:
+        """How many times force or stress of the last gradient exceed ``goal``, whichever is worse."""
+        force = self.force / max(goal[0], goal[1] * self.pressure)
+        return max(force, self.stress_error / goal[2]) if len(self.strains) else force
 
     def gradient(self, z: Array) -> Array:
-        """Return dH/dz, (2N + 1,).
+        """Return dH/dz, (2N + S,).
 
         Raises
         ------
         SolverError
             If the budget is used up.
         """
-        from petscjam.packing.kernels import gradient
+        from petscjam.packing.kernels import evaluate
 
+        self.refresh(z)
+        g = np.empty_like(z)
+        n, cell, pairs, exponent, threads, true, sums = self.arguments()
+        found = evaluate(z, n, cell, pairs, exponent, threads, true, sums, g)
+        self.force, self.energy, self.stress = found
+        self.count(z, 1)
+        return g
+
+    def downhill(self, displacement: Array, strain: Array) -> Array:
+        """Return the z of the lowest H along a motion of disks (N, 2) and cell (2, 2) from the start."""
+        on_cell = [np.sum(strain * E) / np.sum(E * E) for E in self.strains]
+        d = np.append(displacement[self.order], self.weight * np.array(on_cell))
+        d *= self.diameter / np.abs(d).max()
+        g = self.gradient(self.start)
+        slope = float(g @ d)
+        if slope > 0:
+            d, slope = -d, -slope
+        step = 1e-3
+        while step < 0.1 and self.gradient(self.start + 2 * step * d) @ d < 0:
+            step *= 2
+        self.gradient(self.start + step * d)
+        return self.start + step * d
+
+    def arguments(self) -> Any:
+        """Return what the kernels need beside z."""
+        return len(self.radii), self.cell, self.pairs, self.exponent, self._threads, self._true, self._sums
+
+    def count(self, z: Array, gradients: int) -> None:
+        """Book ``gradients`` against the budget, and report now and then."""
+        before = self.evaluations
+        self.evaluations += gradients
+        if self.report is not None and self.evaluations // REPORT_EVERY > before // REPORT_EVERY:
+            self.report(self, z)
         if self.evaluations >= self.budget:
             raise SolverError(
                 f"minimise: not converged after {self.evaluations} force evaluations; the largest force is "
                 f"{self.force:.3g}, the pressure {self.pressure:.9g} (target {self.target})"
             )
-        x, scale = self.unpack(z)
-        self._refresh(x, scale)
-        g = np.empty_like(z)
-        self.energy, virial, self.force = gradient(
-            x, scale, self.i, self.j, self.image, self.sigma, self.k, g[:-1].reshape(-1, 2)
-        )
-        area = (scale * self.length) ** 2
-        self.pressure = virial / (2 * area)
-        g[-1] = 0.0 if self.target is None else 2 * area * (self.target - self.pressure) / self.weight
-        self.evaluations += 1
-        if self.report is not None and self.evaluations % 200 == 0:
-            self.report(self)
-        return g
 
-    def _refresh(self, x: Array, scale: float) -> None:
-        """Rebuild the neighbour list if a pair that is not on it may touch."""
-        from petscjam.packing.kernels import farthest
+    def refresh(self, z: Array) -> Array:
+        """Rebuild the neighbour list if a pair that is not on it may touch; return z when it was built.
 
-        largest = 2 * self.radii.max()
-        if self._built is not None:
-            x0, scale0 = self._built
-            if 2 * farthest(x, x0) < (largest + self.skin) / scale0 - largest / scale:
-                return
-        i, j, r = Box.square(self.length).pairs_within(x, (largest + self.skin) / scale)
+        The skin follows the motion: a list is to last for about a hundred gradients, and costs about twenty.
+        """
+        from petscjam.packing.kernels import farthest, stale
+
+        n = len(self.radii)
+        if len(self._built):
+            moved = farthest(n, z, self._built)
+            if not stale(moved, z, self._built, n, self.cell, self.largest, self.skin):
+                return self._built
+            age = self.evaluations - self._built_at
+            factor = 1.4 if age < 40 else 0.7 if age > 120 else 1.0
+            self.skin = float(np.clip(factor * self.skin, 0.03 * self.diameter, 0.5 * self.diameter))
+        self._built, self._built_at = z.copy(), self.evaluations
+        self._build(*self.unpack(z))
+        return self._built
+
+    def _build(self, x: Array, F: Array) -> None:
+        """List the pairs: those within a run of disks first, run by run, then the rest with their images."""
+        from petscjam.packing.kernels import CHUNK
+
+        box = self.packing.box.deformed(F) if len(self.strains) else self.packing.box
+        (i, j), inside, images = _pairs(box, x @ F.T, self.radii, self.skin)
+        runs = np.searchsorted(i[:inside], np.arange(0, len(x) + CHUNK, CHUNK))
+        in_cell = np.rint(box.reduced @ np.linalg.inv(box.cell))  # exactly the same lattice
         sigma = self.radii[i] + self.radii[j]
-        near = np.hypot(r[:, 0], r[:, 1]) < (sigma + self.skin) / scale
-        self.i, self.j, self.sigma = i[near], j[near], sigma[near]
-        self.k = self.law.spring_constant(self.sigma)
-        self.image = self.length * np.rint((r[near] - x[self.j] + x[self.i]) / self.length)
-        self._built = x.copy(), scale
+        k = self.packing.potential.spring_constant(sigma)
+        self.pairs = i, j, sigma, k, runs, images @ in_cell @ self.packing.box.cell
+        self._sums = np.zeros((len(runs), 4))
+        overlap = self.packing.potential.stiffness(0.9 * sigma, sigma)
+        self.stiffest = float(overlap.max(initial=1e-3))
 
 
-Done = Callable[[Enthalpy], bool]
+def _pairs(box: Box, x: Array, radii: Array, skin: float) -> tuple[NDArray, int, NDArray]:
+    """List the pairs with r < ρi + ρj + skin: (i, j), how many lie within a run, the images of the rest.
+
+    Images are in units of the rows of ``box.reduced``.
+    """
+    from petscjam.packing.kernels import CHUNK, neighbours
+
+    reach = 2 * radii.max() + skin
+    lattice = box.reduced
+    inverse = np.linalg.inv(lattice)
+    bins = (1 / np.linalg.norm(inverse, axis=0) / reach).astype(int)
+    if (bins < 3).any():
+        i, j, r = box.pairs_within(x, reach)
+        near = np.hypot(r[:, 0], r[:, 1]) < radii[i] + radii[j] + skin
+        i, j, r = i[near], j[near], r[near]
+        image = np.rint((r - x[j] + x[i]) @ inverse)
+        alone = (i // CHUNK == j // CHUNK) & ~image.any(axis=1)
+        order = np.argsort(~alone, kind="stable")
+        inside = np.count_nonzero(alone)
+        return np.array([i, j], dtype=np.uint32)[:, order], inside, image[order[inside:]]
+    found, size = 4 * len(x), 0
+    while found > size:
+        size = found
+        pairs, image = np.empty((2, size), dtype=np.uint32), np.empty((size, 2), dtype=np.int32)
+        inside, rest = neighbours(x, lattice, inverse, bins, radii, skin, pairs[0], pairs[1], image)
+        found = inside + rest
+    pairs = np.concatenate([pairs[:, :inside], pairs[:, size - rest :]], axis=1)
+    return pairs, inside, image[size - rest :]
 
 
-def conjugate_gradients(h: Enthalpy, z: Array, done: Done) -> Array:
-    """Minimise by Polak–Ribière+ conjugate gradients until ``done(h)``; return z.
+def _use_threads(threads: int, n: int) -> bool:
+    from petscjam.packing.kernels import CHUNK
+
+    if threads > 1 and n > CHUNK:
+        import numba
+
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+        return True
+    return False
+
+
+def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
+    """Minimise by FIRE (Bitzek et al., Phys. Rev. Lett. 97, 170201) until ``goal``; return z.
+
+    Unit masses; the fastest mode, ω² ≈ 8k, bounds the time step.
+    """
+    from petscjam.packing import kernels
+
+    z = z.copy()
+    g, v = h.gradient(z), np.zeros_like(z)
+    state = np.array([0.1, 0.1, 0.0, 0.0])
+    while not h.reached(goal):
+        taken, fresh, h.force, h.energy, h.stress = kernels.fire(
+            z, g, v, state, h.force, h.energy, h.stress, goal, min(REPORT_EVERY, h.budget - h.evaluations),
+            0.6 / h.stiffest**0.5, 0.1 * h.diameter, h.refresh(z), h.largest, h.skin, *h.arguments(),
+        )  # fmt: skip
+        h.count(z, taken)
+        if not fresh:
+            g = h.gradient(z)
+    return z
+
+
+def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
+    """Minimise by Polak–Ribière+ conjugate gradients until ``goal``; return z.
 
     Only gradients are compared: energies stop telling points apart at √ε of the way.
     """
+    from petscjam.packing.kernels import combine, products
+
     g = h.gradient(z)
     d, step = -g, 0.1
-    while not done(h):
-        if g @ d >= 0:
-            d = -g
-        z, g_new, step = _line_minimum(h, z, d, float(g @ d), step)
-        beta = max(0.0, float(g_new @ (g_new - g) / (g @ g)))
-        g, d = g_new, beta * d - g_new
+    while not h.reached(goal):
+        gg, gd, _ = products(g, d)
+        if gd >= 0:
+            d, gd = -g, -gg
+        z, g_new, step = _line_minimum(h, z, d, gd, step)
+        _, across, new = products(g, g_new)
+        combine(max(0.0, (new - across) / gg), d, -1.0, g_new)
+        g = g_new
     return z
 
 
@@ -141,6 +296,8 @@ def _line_minimum(h: Enthalpy, z: Array, d: Array, slope0: float, step: float) -
 
     A looser search takes more gradients at low pressure, a tighter one no fewer.
     """
+    from petscjam.packing.kernels import products
+
     limit = 0.1 * h.diameter / float(np.abs(d).max())
     step = min(step, limit)
     low, slope_low = 0.0, slope0
@@ -148,7 +305,7 @@ def _line_minimum(h: Enthalpy, z: Array, d: Array, slope0: float, step: float) -
     for _ in range(20):
         z_new = z + step * d
         g = h.gradient(z_new)
-        slope = float(g @ d)
+        slope = products(g, d)[1]
         if abs(slope) <= -0.05 * slope0 or (slope < 0 and step >= limit):
             break
         if slope > 0:
@@ -163,28 +320,4 @@ def _line_minimum(h: Enthalpy, z: Array, d: Array, slope0: float, step: float) -
     return z_new, g, step
 
 
-def fire(h: Enthalpy, z: Array, done: Done) -> Array:
-    """Minimise by FIRE (Bitzek et al., Phys. Rev. Lett. 97, 170201) until ``done(h)``; return z.
-
-    Unit masses; the fastest mode, ω² ≈ 8k, bounds the time step.
-    """
-    v = np.zeros_like(z)
-    dt, mix, downhill = 0.1, 0.1, 0
-    g = h.gradient(z)
-    while not done(h):
-        if g @ v < 0:
-            v = (1 - mix) * v - mix * np.sqrt(v @ v / (g @ g)) * g
-            downhill += 1
-            if downhill > 5:
-                dt, mix = min(1.1 * dt, 0.6), 0.99 * mix
-        else:
-            v[:] = 0
-            dt, mix, downhill = 0.5 * dt, 0.1, 0
-        v -= dt * g
-        v *= min(1.0, 0.1 * h.diameter / (dt * float(np.abs(v).max())))
-        z = z + dt * v
-        g = h.gradient(z)
-    return z
-
-
-METHODS: dict[str, Callable[[Enthalpy, Array, Done], Array]] = {"cg": conjugate_gradients, "fire": fire}
+METHODS: dict[str, Callable[[Enthalpy, Array, Goal], Array]] = {"fire": fire, "cg": conjugate_gradients}

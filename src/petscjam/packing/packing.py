@@ -20,7 +20,7 @@ from petscjam.potential import Potential, potential
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was measured on a packing. ``None`` stands for "not measured".
+    """What was measured on a packing (:func:`petscjam.certify`). ``None`` stands for "not measured".
 
     Attributes
     ----------
@@ -28,28 +28,46 @@ class Certificate:
         Largest residual force on a disk, relative to p·d (p pressure, d mean diameter).
     pressure_error : float
         |p − target| / target; ``None`` when no target is known.
+    stress_error : float
+        Largest part of σ − p·1, relative to p: the residual shear stress.
     rattlers : int
         Disks with fewer than three contacts, removed again and again until none is left.
+    contacts : int
+        Contacts inside the backbone.
     Z : float
         Mean number of contacts of a disk of the backbone.
     pressure : float
         Σ f·r / (2V), in units of the file.
-    negative_modes : int
-        Number of negative eigenvalues of K with pre-stress on the pinned backbone.
-    lowest_eigenvalue : float
-        The lowest eigenvalue of the same K, translations left out.
+    negative_modes, zero_modes : int
+        Number of negative and of vanishing eigenvalues of K with pre-stress on the pinned backbone.
+    eigenvalues : tuple of floats
+        The lowest few of the same K, ascending, translations left out.
+    eigenvalue_error : float
+        Largest ‖Kv − λv‖ of these.
+    shear_modulus : float
+        The lowest quasi-static shear modulus over all directions of shear; negative: unstable.
     proved : bool
         Whether this is a proved minimum; ``None`` until judged.
     """
 
     max_force: float | None = None
     rattlers: int | None = None
+    contacts: int | None = None
     Z: float | None = None
     pressure: float | None = None
     pressure_error: float | None = None
+    stress_error: float | None = None
     negative_modes: int | None = None
-    lowest_eigenvalue: float | None = None
+    zero_modes: int | None = None
+    eigenvalues: tuple[float, ...] | None = None
+    eigenvalue_error: float | None = None
+    shear_modulus: float | None = None
     proved: bool | None = None
+
+    @property
+    def lowest_eigenvalue(self) -> float | None:
+        """The lowest eigenvalue of K, translations left out."""
+        return self.eigenvalues[0] if self.eigenvalues else None
 
 
 @dataclass(frozen=True, eq=False)

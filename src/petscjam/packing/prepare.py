@@ -1,26 +1,33 @@
-"""Prepare a packing: random disks, minimised, at a target pressure (BT sec. 2.1).
+"""Prepare packings: random disks, minimised at a target pressure (BT sec. 2.1), proved, and prepared again.
 
 Axes: i disk, x Cartesian.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import log
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
 from petscjam.box import Array, Box
 from petscjam.errors import InputError
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import certify
-from petscjam.packing.minimise import METHODS, Enthalpy
+from petscjam.packing.certify import Instability, judge
+from petscjam.packing.minimise import METHODS, Enthalpy, Goal
+from petscjam.packing.newton import newton
 from petscjam.packing.packing import Packing
+from petscjam.potential import POTENTIALS
 from petscjam.progress import Report
 from petscjam.storage import release
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
 PUSHES = 1000
+BUDGET = 2_000_000
+ESCAPES = 20  # times that a negative mode is followed downhill
+HISTORY = 200  # points kept of the history of a preparation
 
 
 def prepare_packing(
@@ -29,19 +36,21 @@ def prepare_packing(
     seed: int = 1,
     *,
     shear_stabilised: bool = False,
-    method: str = "cg",
+    method: str = "fire",
     potential_name: str = "harmonic",
+    ratio: float = 1.4,
+    composition: float = 0.5,
+    polydispersity: float = 0.0,
+    threads: int = 1,
+    budget: int = BUDGET,
     progress: Report | None = None,
 ) -> Packing:
-    """Return a packing of ``n`` disks in mechanical equilibrium at ``pressure``, in a square cell.
+    """Return a packing of ``n`` disks in mechanical equilibrium at ``pressure``, with its certificate.
 
-    50:50 by number, diameters 1/1.2 and 1.4/1.2 (mean d = 1; the odd disk is small). Positions are
-    uniformly random, ``default_rng(seed).random((n, 2))`` in units of the cell, small disks first.
-    The energy is minimised at constant volume, a little above the density at which quenches have the
-    target pressure; then the enthalpy, with the edge of the cell as one more degree of freedom.
-
-    It ends when no disk feels more than max(1e-10·p·d, 4·ε·k·L) and the pressure is within
-    max(1e-9·p, 4·ε·k·L/d) of the target. The same arguments give the same packing.
+    Positions are uniformly random in a square cell, ``default_rng(seed).random((n, 2))`` in units of the
+    cell, small disks first; the mean diameter is d = 1. The energy is minimised at constant volume, near
+    the density at which quenches have the target pressure; then :func:`relax_packing` goes on. The same
+    arguments give the same packing, whatever ``threads`` is.
 
     Parameters
     ----------
@@ -51,10 +60,21 @@ def prepare_packing(
         Target, in units of k (the spring constant of two disks whose radii add up to d).
     seed : int
     shear_stabilised : bool
-        Not available yet.
-    method : "cg" or "fire"
+        Whether the shape of the cell relaxes, too: the packing ends without shear stress, stable against
+        shear in every direction (Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703).
+    method : "fire" or "cg"
     potential_name : str
         A name from :data:`petscjam.potential.POTENTIALS`.
+    ratio : float
+        Diameter of the large disks over that of the small ones.
+    composition : float
+        Share of small disks by number, in [0, 1]; rounded up to whole disks.
+    polydispersity : float
+        Standard deviation over mean of the diameters of each kind (normal, cut at three of them).
+    threads : int
+        Worth while from some ten thousand disks on.
+    budget : int
+        Evaluations of the force.
     progress : callable, optional
         Called now and then with the fraction done, in [0, 1], and a line of text.
 
@@ -63,53 +83,176 @@ def prepare_packing(
     InputError
         On an argument out of range.
     SolverError
-        If the tolerances are not reached within two million force evaluations.
+        If forces and pressure do not reach their tolerances within the budget. (A packing that does, but
+        is not proved a minimum within the budget, is returned with ``certificate.proved = False``.)
     """
-    check(n, pressure, seed, shear_stabilised, method)
-    radii = np.where(np.arange(n) < n - n // 2, 0.5 / 1.2, 0.7 / 1.2)
-    length = _edge(radii, 0.845 + 2.5 * pressure)
-    # Half of what is promised: whoever recomputes the forces from the file rounds differently.
-    floor = _rounding_floor(length) / 2
-    tolerance = max(0.5e-10 * pressure, floor)
-
-    def report(h: Enthalpy) -> None:
-        if progress is not None:
-            worst = max(h.force, abs(h.pressure - pressure), tolerance)
-            progress(min(1.0, max(0.0, log(worst) / log(tolerance))),
-                     f"largest force {h.force:.1e}, pressure {h.pressure:.4e}")  # fmt: skip
-
-    # A box let go before the disks have settled overshoots, and the way back along soft modes is long:
-    # stopping this stage earlier costs time, the more the lower the pressure.
-    minimise = METHODS[method]
-    energy = Enthalpy(radii, length, potential_name=potential_name, report=report)
-    x = np.random.default_rng(seed).random((n, 2)) * length
-    z = minimise(energy, np.append(x, 0.0), lambda h: h.force <= 1e-3 * max(h.pressure, pressure))
-    enthalpy = Enthalpy(radii, length, pressure, potential_name=potential_name, skin=0.1, report=report)
-    z = minimise(
-        enthalpy,
-        z,
-        lambda h: h.force <= tolerance and abs(h.pressure - pressure) <= max(0.5e-9 * pressure, floor),
-    )
-    x, scale = enthalpy.unpack(z)
-    # Scaling the positions rounds them; the forces this leaves are relaxed where they will be read.
-    box = Box.square(scale * length)
-    x = _free_rattlers(Packing(box.wrap(scale * x), radii, box, potential_name))
-    final = Enthalpy(radii, scale * length, potential_name=potential_name, skin=0.1, report=report)
-    x, _ = final.unpack(minimise(final, np.append(x, 0.0), lambda h: h.force <= tolerance))
+    check(n, pressure, seed, method=method, potential_name=potential_name, ratio=ratio,
+          composition=composition, polydispersity=polydispersity, budget=budget)  # fmt: skip
+    random = np.random.default_rng(seed)
+    x = random.random((n, 2))
+    radii = _radii(n, ratio, composition, polydispersity, random)
+    exponent = POTENTIALS[potential_name].exponent
+    phi = 0.842 + 2.5 * pressure ** (1 / (exponent - 1))
+    box = Box.square(float(np.sqrt(np.pi * (radii**2).sum() / phi)))
     made_by = {
         "program": "petscjam", "version": release("petscjam"),
         "numpy": release("numpy"), "numba": release("numba"),
-        "n": int(n), "pressure": float(pressure), "seed": int(seed), "method": method,
-        "evaluations": energy.evaluations + enthalpy.evaluations + final.evaluations,
+        "n": int(n), "seed": int(seed), "ratio": float(ratio), "composition": float(composition),
+        "polydispersity": float(polydispersity),
     }  # fmt: skip
-    packing = certify(Packing(x, radii, box, potential_name, provenance=made_by), pressure)
-    if progress is not None:
-        progress(1.0, f"largest force {final.force:.1e}, pressure {final.pressure:.4e}")
-    return packing
+    start = Packing(x @ box.cell, radii, box, potential_name, provenance=made_by)
+    log_book = _LogBook(pressure, budget, progress)
+    energy = Enthalpy(start, threads=threads, budget=budget, report=log_book)
+    # A box let go before the disks have settled overshoots, and the way back along soft modes is long.
+    z = METHODS[method](energy, energy.start, (1e-2 * pressure, 1e-2, 0.0))
+    log_book.close(energy)
+    return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, log_book)
 
 
-def _free_rattlers(packing: Packing) -> Array:
-    """Return positions in which no rattler rests on a neighbour, where its cage leaves it room.
+def relax_packing(
+    packing: Packing,
+    pressure: float | None = None,
+    *,
+    shear_stabilised: bool = False,
+    method: str = "fire",
+    threads: int = 1,
+    budget: int = BUDGET,
+    progress: Report | None = None,
+) -> Packing:
+    """Return the nearest minimum of ``packing``, with its certificate.
+
+    At constant ``pressure`` the size of the cell relaxes, and its shape if the packing is to be stable
+    against shear; without a pressure the cell stays as it is. FIRE or conjugate gradients lead to where
+    Newton's method converges. Then K is judged (:func:`petscjam.certify`); a negative mode is followed
+    downhill, and minimisation goes on until the minimum is proved or the budget is spent.
+
+    It ends when no disk feels more than max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure
+    tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target. Parameters and errors are those of
+    :func:`prepare_packing`; lower pressures of a series are reached by relaxing the packing before.
+    """
+    check_relaxation(len(packing), pressure, shear_stabilised, method, budget)
+    return _relaxed(
+        packing, pressure, shear_stabilised, method, threads, _LogBook(pressure, budget, progress)
+    )
+
+
+def _relaxed(
+    packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int, book: _LogBook
+) -> Packing:
+    made_by = {
+        **packing.provenance,
+        "pressure": pressure, "shear_stabilised": stabilised, "method": method,
+    }  # fmt: skip
+    packing = replace(packing, provenance=made_by)
+    way_down: Instability | None = None
+    for _ in range(ESCAPES):
+        packing = _minimum(packing, pressure, stabilised, method, threads, book, way_down)
+        packing, way_down = judge(packing, pressure)
+        if way_down is None or book.spent >= book.budget:
+            break
+    book.finish(packing)
+    made_by.update(evaluations=book.spent, history=book.history)
+    return replace(packing, provenance=made_by)
+
+
+def _minimum(
+    packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int,
+    book: _LogBook, way_down: Instability | None,
+) -> Packing:  # fmt: skip
+    """Minimise from ``packing``, or from a little way down along a motion that lowers the energy."""
+    h = Enthalpy(
+        packing, pressure, shape=stabilised, threads=threads,
+        budget=book.budget, evaluations=book.spent, report=book,
+    )  # fmt: skip
+    z, closeness = h.start, 1e-4
+    if way_down is not None:
+        z = h.downhill(way_down.displacement, way_down.strain)
+        closeness = min(closeness, 1e-2 * h.force / (h.pressure * h.diameter))
+    force, _, stress = _goal(h, z)
+    z = _descend(h, z, (4 * force, 0.0, stress), closeness, method)
+    book.close(h)
+    packing = _free_rattlers(h.at(z))
+    # Scaling the positions rounds them; what this leaves is relaxed where it will be read.
+    h = Enthalpy(packing, threads=threads, budget=book.budget, evaluations=book.spent, report=book)
+    z = _descend(h, h.start, _goal(h, h.start), 0.0, method)
+    book.close(h)
+    return h.at(z)
+
+
+def _goal(h: Enthalpy, z: Array) -> Goal:
+    """Half of what is promised: whoever recomputes the forces from the file rounds differently."""
+    if not np.isfinite(h.force):
+        h.gradient(z)
+    pressure = h.pressure if h.target is None else h.target
+    floor = 2 * float(np.finfo(float).eps) * h.stiffest * h.packing.box.area**0.5
+    return max(0.5e-10 * pressure * h.diameter, floor), 0.0, max(0.5e-9 * pressure, floor / h.diameter)
+
+
+def _descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) -> Array:
+    """Alternate ``method``, to forces of ``closeness``·p·d, and Newton's method, ever closer, to ``goal``."""
+    while True:
+        pressure = h.target or 0.0
+        nearer = max(goal[0], closeness * pressure * h.diameter), closeness * h.diameter, goal[2]
+        error = max(goal[2], 10 * closeness * pressure)
+        z = METHODS[method](h, z, (nearer[0], nearer[1], error))
+        if h.reached(goal):
+            return z
+        z = newton(h, z, goal)
+        if h.reached(goal):
+            return z
+        closeness = closeness / 10 if closeness > 1e-12 else 0.0
+
+
+class _LogBook:
+    """Budget, progress and history of a preparation that has several stages."""
+
+    def __init__(self, pressure: float | None, budget: int, progress: Report | None) -> None:
+        self.pressure, self.budget, self.progress = pressure, budget, progress
+        self.spent = 0
+        self.history: dict[str, list] = {"evaluations": [], "phi": [], "pressure": [], "force": []}
+        self._every = 1
+        self._done = 0.0
+
+    def __call__(self, h: Enthalpy, z: Array) -> None:
+        self._note(h, z)
+        goal = 1e-10 * h.pressure * h.diameter
+        if 0 < goal < 1 and h.force < 1:
+            self._done = max(self._done, min(0.99, log(max(h.force, goal)) / log(goal)))
+        self._say(f"largest force {h.force:.1e}, pressure {h.pressure:.4e}")
+
+    def finish(self, packing: Packing) -> None:
+        """Say how it ended."""
+        self._done = 1.0
+        c = packing.certificate
+        self._say(f"largest force {c.max_force:.1e} p·d, {'' if c.proved else 'not '}proved")
+
+    def _say(self, text: str) -> None:
+        if self.progress is not None:
+            self.progress(self._done, text)
+
+    def close(self, h: Enthalpy) -> None:
+        """Book the evaluations of a stage."""
+        self.spent = h.evaluations
+
+    def _note(self, h: Enthalpy, z: Array) -> None:
+        lists = self.history
+        count = h.evaluations
+        if lists["evaluations"] and count < lists["evaluations"][-1] + 200 * self._every:
+            return
+        area = h.packing.box.area * float(np.linalg.det(h.unpack(z)[1]))
+        phi = float(np.pi * (h.radii**2).sum() / area)
+        for name, value in (
+            ("evaluations", count), ("phi", phi), ("pressure", h.pressure), ("force", float(h.force)),
+        ):  # fmt: skip
+            lists[name].append(value)
+        if len(lists["phi"]) >= HISTORY:
+            self._every *= 2
+            for name in lists:
+                lists[name] = lists[name][::2]
+
+
+def _free_rattlers(packing: Packing) -> Packing:
+    """Return the packing without rattlers that rest on a neighbour, where their cages leave them room.
 
     A minimiser leaves rattlers with overlaps of the order of rounding, and it would be rounding that
     decides whether they are in contact. They are pushed off by GAP.
@@ -130,33 +273,59 @@ def _free_rattlers(packing: Packing) -> Array:
         push = (share * overlap / distance)[:, None] * r
         np.add.at(x, j, push * rattler[j, None])
         np.add.at(x, i, -push * rattler[i, None])
-    return x
+    return replace(packing, positions=x)
 
 
-def _edge(radii: Array, phi: float) -> float:
-    return float(np.sqrt(np.pi * (radii**2).sum() / phi))
+def _radii(
+    n: int, ratio: float, composition: float, polydispersity: float, random: np.random.Generator
+) -> Array:
+    """Return radii, small disks first, of mean ½ for the nominal composition."""
+    small = 0.5 / (composition + (1 - composition) * ratio)
+    radii = np.where(np.arange(n) < np.ceil(composition * n), small, ratio * small)
+    if polydispersity:
+        spread = np.clip(random.standard_normal(n), -3, 3)
+        radii *= 1 + polydispersity * spread
+    return radii
 
 
-def _rounding_floor(length: float) -> float:
-    """Force that positions rounded to double precision leave on a disk, 4·ε·k·L with k = 1."""
-    return 4 * float(np.finfo(float).eps) * length
+def check(n: int, pressure: float, seed: int, **others: Any) -> None:
+    """Raise the InputError that :func:`prepare_packing` would raise on these arguments.
 
-
-def check(n: int, pressure: float, seed: int, shear_stabilised: bool, method: str) -> None:
-    """Raise the InputError that :func:`prepare_packing` would raise on these arguments."""
+    ``others`` are keyword arguments of it, by name; those left out are taken to be right.
+    """
     if not isinstance(n, Integral) or n < 8:
         raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {n!r}")
-    if not isinstance(pressure, Real) or not 0 < pressure < 0.5:
+    if not isinstance(pressure, Real):
+        raise InputError(f"prepare: the pressure must be a number above 0, not {pressure!r}")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"prepare: the seed must be a whole number, 0 or more, not {seed!r}")
+    for name, low, high in (("ratio", 0, 100), ("composition", 0, 1), ("polydispersity", 0, 0.3)):
+        value = others.get(name, 0.1)
+        if not isinstance(value, Real) or not low <= value <= high or (name == "ratio" and value == 0):
+            above = "above 0" if name == "ratio" else f"{low} or more"
+            raise InputError(f"prepare: the {name} must be {above} and at most {high}, not {value!r}")
+    kind = others.get("potential_name", "harmonic")
+    if kind not in POTENTIALS:
+        raise InputError(f"prepare: the potential {kind!r} is unknown; known are {', '.join(POTENTIALS)}")
+    check_relaxation(
+        n, pressure, others.get("shear_stabilised", False), others.get("method", "fire"),
+        others.get("budget", BUDGET),
+    )  # fmt: skip
+
+
+def check_relaxation(n: int, pressure: float | None, stabilised: bool, method: str, budget: int) -> None:
+    """Raise the InputError that :func:`relax_packing` would raise on these arguments."""
+    if pressure is None:
+        if stabilised:
+            raise InputError("prepare: a packing stabilised against shear needs a target pressure")
+    elif not 0 < pressure < 0.5:
         raise InputError(f"prepare: the pressure must be above 0 and below 0.5 (in k), not {pressure!r}")
-    lowest = 1e6 * _rounding_floor(n**0.5)
-    if pressure < lowest:
+    elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5):
         raise InputError(
             f"prepare: at a pressure of {pressure!r} rounding leaves more than 1e-6 of the forces "
             f"between {n} disks; the lowest is {lowest:.1e}"
         )
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"prepare: the seed must be a whole number, 0 or more, not {seed!r}")
     if method not in METHODS:
         raise InputError(f"prepare: the method {method!r} is unknown; known are {', '.join(METHODS)}")
-    if shear_stabilised:
-        raise InputError("prepare: shear_stabilised=True is not available yet; leave it out")
+    if not isinstance(budget, Integral) or budget < 1:
+        raise InputError(f"prepare: the budget must be a whole number of evaluations, not {budget!r}")

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from petscjam.errors import SolverError
 from petscjam.kinematics import Field, Motion
 from petscjam.parallel.comm import total
+from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import free_motions, sees
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
-from petscjam.response.solver import DirectSolver, direct_solver
 
 LARGEST_RESIDUAL = 1e-8
 SOFT = 1e-8  # weight of friction against stiffness where both hold a degree of freedom

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from petscjam.kinematics import Form
+from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying, petsc, stage
 from petscjam.response.dofs import Dofs
 
@@ -59,7 +60,7 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Any) -> Iterator[Pencil]:
         both = (K_rows + 1j * B_rows).tocsr()  # K and B are real: as K + iB they share one pattern
         both.sort_indices()
         stiffness, friction, combination = (
-            _matrix(both.indptr, both.indices, part, dofs, comm)
+            symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm)
             for part in (both.data.real, both.data.imag, both.data)
         )
     with destroying(stiffness, friction, combination):
@@ -77,15 +78,3 @@ def _own_rows(form: Form, dofs: Dofs, start: int, stop: int) -> tuple[csr_array,
     drag = csr_array((body, (here, here + start)), shape=(stop - start, dofs.size))
     weighted = A.multiply(form.weights[:, None]).tocsr()
     return mine @ weighted + drag, mine @ (form.weights[:, None] * form.strain_rows)
-
-
-def _matrix(indptr: NDArray, indices: NDArray, values: NDArray, dofs: Dofs, comm: Any) -> Any:
-    """Return the PETSc matrix with these local rows, flagged symmetric and not Hermitian."""
-    PETSc = petsc()
-    local = int(dofs.counts[comm.rank])
-    csr = (indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), values.astype(PETSc.ScalarType))
-    matrix = PETSc.Mat().createAIJ(((local, dofs.size), (local, dofs.size)), csr=csr, comm=comm)
-    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-    matrix.setOption(PETSc.Mat.Option.HERMITIAN, False)
-    return matrix

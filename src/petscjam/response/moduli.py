@@ -19,12 +19,12 @@ from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
+from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import LARGEST_RESIDUAL, Limit, infinite_frequency, quasistatic, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.response.result import ComplexModulus
-from petscjam.response.solver import DirectSolver, direct_solver
 
 
 def complex_modulus(

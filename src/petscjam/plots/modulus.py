@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from io import BytesIO
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
+from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
 from petscjam.report import state
 from petscjam.response.result import ComplexModulus
-from petscjam.storage import write_atomically
-
-STORAGE, LOSS, UNSTABLE = "#1f5fa8", "#c8551b", "#8b1a1a"
 
 
 def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]) -> None:
@@ -39,13 +34,7 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
         figure = Figure(figsize=(7.2, 5.2), layout="constrained")
         halves = [figure]
     _draw_moduli(halves[0].subplots(), results)
-    kind = Path(path).suffix.removeprefix(".").lower() or "png"
-    known = figure.canvas.get_supported_filetypes()
-    if kind not in known:
-        raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
-    picture = BytesIO()
-    figure.savefig(picture, dpi=150, format=kind)
-    write_atomically(path, picture.getvalue())
+    save(figure, path)
 
 
 def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:

@@ -1,0 +1,421 @@
+"""Libraries: folders of packings of several sizes, pressures and seeds, made by one recipe.
+
+A folder holds one file for each packing; ``library.json``, the recipe; and ``index.csv``, a line for each
+packing and for each failure, with the time it took. The packings are the truth: a line that is lost or
+torn is written again from them, and only its time is gone.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from io import StringIO
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from petscjam.errors import InputError, SolverError
+from petscjam.network import ContactNetwork
+from petscjam.packing.h5md import OURS
+from petscjam.packing.packing import Packing
+from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
+from petscjam.parallel.comm import on_root, resolve
+from petscjam.parallel.petsc import slepc
+from petscjam.parallel.teams import cores_each, teams
+from petscjam.progress import Report
+from petscjam.storage import check_output, naming, open_h5, write_atomically
+
+SCHEMA = 1
+RECIPE, INDEX = "library.json", "index.csv"
+COLUMNS = (
+    "file", "particles", "target", "seed", "phi", "pressure", "Z", "rattlers", "contacts",
+    "lowest_eigenvalue", "shear_modulus", "max_force", "proved", "checksum", "seconds", "failure",
+)  # fmt: skip
+WORTH_THREADS = 10_000  # disks
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the packings of a library have in common; all but ``decompress`` as in :func:`prepare_packing`.
+
+    Parameters
+    ----------
+    decompress : bool
+        Whether the packings of one size and seed are a family: the one of the highest pressure has a
+        random start, each other one is the one before it, decompressed.
+    """
+
+    shear_stabilised: bool = False
+    decompress: bool = False
+    method: str = "fire"
+    potential_name: str = "harmonic"
+    ratio: float = 1.4
+    composition: float = 0.5
+    polydispersity: float = 0.0
+
+    @property
+    def start(self) -> dict[str, Any]:
+        """The arguments of :func:`prepare_packing`."""
+        return {name: value for name, value in asdict(self).items() if name != "decompress"}
+
+
+@dataclass(frozen=True)
+class Library:
+    """What a folder of packings holds.
+
+    Attributes
+    ----------
+    folder : Path
+    recipe : mapping
+        Settings by name; empty if the folder was not made by :func:`prepare_library`.
+    rows : list of dicts
+        For each packing: ``file``, ``particles``, ``target`` (pressure asked for), ``seed``, ``phi``,
+        ``pressure``, ``Z``, ``rattlers``, ``contacts``, ``lowest_eigenvalue``, ``shear_modulus`` (over all
+        directions the lowest), ``max_force``, ``proved``, ``checksum``, ``seconds``; None: not known.
+    failed : list of dicts
+        For each packing that could not be made: ``file``, ``particles``, ``target``, ``seed``,
+        ``seconds``, ``failure``, the reason.
+    tried : set of strings
+        The files that :func:`prepare_library` set out to make.
+    """
+
+    folder: Path
+    recipe: Mapping[str, Any]
+    rows: list[dict[str, Any]]
+    failed: list[dict[str, Any]]
+    tried: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Packings that are made one after the other: of a family, or just one."""
+
+    n: int
+    seed: int
+    pressures: tuple[float, ...]
+
+    def names(self) -> Iterator[tuple[float, str]]:
+        """Pressures and names of files."""
+        for pressure in self.pressures:
+            yield pressure, f"N{self.n}_p{pressure:g}_s{self.seed:04d}.h5"
+
+    def cost(self, pressure: float) -> float:
+        """Time to make one, in some unit."""
+        return self.n * pressure**-0.3
+
+
+def prepare_library(
+    folder: str | PathLike[str],
+    particles: Iterable[int] = (1024,),
+    pressures: Iterable[float] = (1e-3,),
+    seeds: Iterable[int] = (1,),
+    *,
+    comm: Any = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    threads: int | None = None,
+    budget: int = BUDGET,
+    progress: Report | None = None,
+    **recipe: Any,
+) -> Library:
+    """Prepare a packing of every size, pressure and seed in ``folder``, and return what it then holds.
+
+    They are dealt to the ranks, and do not depend on how many there are. One that fails does not stop the
+    others; it is among ``failed`` of the library, and tried again on ``resume``.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist. Packings that lie there already must be of the same recipe.
+    particles, pressures, seeds : iterables
+        As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`.
+    comm : communicator
+    resume : bool
+        Leave alone what exists; else an error, unless ``overwrite``.
+    threads : int, optional
+        For each rank. Left out: the cores it has for itself, if the packings are large and few.
+    budget : int
+        Evaluations of the force, for each packing.
+    progress : callable, optional
+        As in :func:`prepare_packing`; the fraction is that of the rank's own work.
+    **recipe
+        The fields of :class:`Recipe`.
+
+    Raises
+    ------
+    InputError
+        On an argument out of range, if a packing exists, or is of another recipe.
+    """
+    comm, folder, settings = resolve(comm), Path(folder), Recipe(**recipe)
+    series = _planned(particles, pressures, seeds, settings, budget)
+    slepc()  # starts on all ranks or not at all
+    missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
+    todo = [s for s in series if any(name in missing for _, name in s.names())]
+    threads = threads or threads_for([s.n for s in todo], comm)
+
+    def work(s: _Series) -> float:
+        return sum(s.cost(pressure) for pressure, name in s.names() if name in missing)
+
+    with teams(comm) as team:
+        mine = team.deal(todo, work)
+        done, everything = 0.0, sum(map(work, mine))
+        for s in mine:
+            report = _share(progress, done / everything, work(s) / everything)
+            _make(folder, s, settings, missing, report, threads=threads, budget=budget)
+            done += work(s)
+    comm.Barrier()
+    return replace(on_root(comm, read_library, folder), tried=frozenset(missing))
+
+
+def threads_for(sizes: Sequence[int], comm: Any) -> int:
+    """Return the threads of each rank for tasks of these sizes: its cores, if they are large and few."""
+    large = len(sizes) <= comm.size and max(sizes, default=0) >= WORTH_THREADS
+    return cores_each(comm) if large else 1
+
+
+def read_library(folder: str | PathLike[str]) -> Library:
+    """Read what a folder of packings holds, whether :func:`prepare_library` made it or not.
+
+    Raises
+    ------
+    InputError
+        If there are no packings, one cannot be read, or potentials or units of length differ.
+    """
+    library = _read(Path(folder))
+    if not library.rows and not library.failed:
+        raise InputError(f"{folder}: no packings in this folder")
+    return library
+
+
+def exists(
+    file: Path, n: int, pressure: float, seed: int, recipe: Recipe, before: Sequence[float] = ()
+) -> bool:
+    """Tell whether the packing is there.
+
+    Raises
+    ------
+    InputError
+        If ``file`` is another packing.
+    """
+    if not file.exists():
+        return False
+    packing = Packing.read(file)
+    there = {**packing.provenance, "potential_name": packing.potential_name}
+    wanted = {"n": n, "pressure": pressure, "seed": seed, **recipe.start}
+    wanted["decompressed_from"] = list(before) if recipe.decompress else None
+    for key, value in wanted.items():
+        if there.get(key) != value:
+            raise InputError(f"{file}: has {key} = {there.get(key)}, not {value}; it cannot be resumed")
+    return True
+
+
+def _planned(
+    particles: Iterable[int], pressures: Iterable[float], seeds: Iterable[int], recipe: Recipe, budget: int
+) -> list[_Series]:
+    pressures = sorted(map(float, pressures), reverse=True)
+    groups = [tuple(pressures)] if recipe.decompress else [(pressure,) for pressure in pressures]
+    seeds = list(seeds)
+    series = [_Series(n, seed, group) for n in particles for group in groups for seed in seeds]
+    names: dict[str, tuple[int, float, int]] = {}
+    for s in series:
+        for pressure in s.pressures:
+            check(s.n, pressure, s.seed, budget=budget, **recipe.start)
+        for pressure, name in s.names():
+            if name in names:
+                raise InputError(
+                    f"prepare: (particles, pressure, seed) = {names[name]} and {(s.n, pressure, s.seed)} "
+                    f"are the same packing, {name}"
+                )
+            names[name] = s.n, pressure, s.seed
+    if not names:
+        raise InputError("prepare: there is nothing to prepare without a size, a pressure and a seed")
+    return series
+
+
+def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, overwrite: bool) -> set[str]:
+    """Make the folder with its recipe and index, if nothing speaks against it; return what is missing."""
+    with naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    library = _read(folder, recipe)
+    missing = set()
+    for s in series:
+        for pressure, name in s.names():
+            before = [p for p in s.pressures if p > pressure]
+            if overwrite or not (resume and exists(folder / name, s.n, pressure, s.seed, recipe, before)):
+                check_output(folder / name, overwrite=overwrite)
+                missing.add(name)
+    for half in (file for name in missing for file in folder.glob(f".{name}.*.part")):
+        with suppress(OSError):
+            half.unlink()
+    if not library.recipe:
+        text = json.dumps({"schema": SCHEMA, "units": "stiffness k = 1, mean diameter d = 1",
+                           "recipe": asdict(recipe)}, indent=2)  # fmt: skip
+        write_atomically(folder / RECIPE, f"{text}\n".encode())
+    lines = [dict(zip(COLUMNS, COLUMNS, strict=True)), *library.rows, *library.failed]
+    write_atomically(folder / INDEX, "".join(map(_line, lines)).encode())
+    return missing
+
+
+def _make(
+    folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress: Report | None, **options: Any
+) -> None:
+    """Make what is missing of a series. The one before is read from its file, made now or long ago."""
+    before: list[float] = []
+    last: Path | None = None
+    failure = ""
+    for k, (pressure, name) in enumerate(s.names()):
+        file, start = folder / name, time.perf_counter()
+        if name in missing:
+            report = _share(progress, k / len(s.pressures), 1 / len(s.pressures), f"{file.stem}: ")
+            try:
+                if failure:
+                    raise SolverError(failure)
+                if last is None:
+                    packing = prepare_packing(
+                        s.n, pressure, s.seed, **recipe.start, **options, progress=report
+                    )
+                else:
+                    packing = relax_packing(
+                        Packing.read(last), pressure, shear_stabilised=recipe.shear_stabilised,
+                        method=recipe.method, **options, progress=report,
+                    )  # fmt: skip
+            except (InputError, SolverError) as error:
+                row = {"file": name, "particles": s.n, "target": pressure, "seed": s.seed,
+                       "failure": " ".join(str(error).split())}  # fmt: skip
+                failure = f"{name}, to start from, failed"
+            else:
+                if recipe.decompress:
+                    made_by = {**packing.provenance, "decompressed_from": before}
+                    packing = replace(packing, provenance=made_by)
+                packing.write(file, overwrite=True)
+                row = _row(name, packing)
+            row["seconds"] = round(time.perf_counter() - start, 3)
+            _append(folder / INDEX, row)
+        before, last = [*before, pressure], file
+
+
+def _share(progress: Report | None, start: float, part: float, label: str = "") -> Report | None:
+    """Return the report of a part of the work."""
+    if progress is None:
+        return None
+    return lambda fraction, text: progress(start + fraction * part, label + text)
+
+
+def _read(folder: Path, recipe: Recipe | None = None) -> Library:
+    """Read a folder; given a recipe, refuse another one."""
+    with naming(folder):
+        files = sorted(file for file in folder.iterdir() if file.suffix == ".h5" and file.name[0] != ".")
+    known, logged = _recipe(folder / RECIPE), _logged(folder / INDEX)
+    for key, value in asdict(recipe).items() if recipe and known else ():
+        if known.get(key) != value:
+            raise InputError(
+                f"{folder}: has packings with {key} = {known.get(key)}, not {value}; choose another folder"
+            )
+    kinds, rows = {}, []
+    if recipe:
+        kinds[(recipe.potential_name, 1.0)] = RECIPE
+    for file in files:
+        with open_h5(file) as h5:
+            if OURS not in h5:  # results may lie among the packings
+                continue
+        packing = Packing.read(file)
+        kinds.setdefault(_kind(packing), file.name)
+        row, line = _row(file.name, packing), logged.pop(file.name, {})
+        if line.get("checksum") == row["checksum"]:
+            row["seconds"] = _number(line["seconds"])
+        rows.append(row)
+    _check_units(folder, kinds)
+    return Library(folder, known, rows, [_failed(line) for line in logged.values() if line["failure"]])
+
+
+def _recipe(file: Path) -> dict[str, Any]:
+    if not file.exists():
+        return {}
+    with naming(file):
+        try:
+            content = json.loads(file.read_text())
+            newer, recipe = content["schema"] > SCHEMA, dict(content["recipe"])
+        except (ValueError, LookupError, TypeError) as error:
+            raise InputError(f"damaged, or not the recipe of a library ({error})") from error
+        if newer:
+            raise InputError(f"written by a newer petscjam (schema {content['schema']}; this reads {SCHEMA})")
+    return recipe
+
+
+def _logged(file: Path) -> dict[str, dict[str, str]]:
+    """Return the lines of the index that are whole, by file; the last one counts."""
+    if not file.exists():
+        return {}
+    with naming(file):
+        text = file.read_bytes().decode(errors="replace").replace("\0", "")
+    lines = [next(csv.reader([line]), []) for line in text.splitlines()[1:]]
+    return {line[0]: dict(zip(COLUMNS, line, strict=True)) for line in lines if len(line) == len(COLUMNS)}
+
+
+def _kind(packing: Packing) -> tuple[str, float]:
+    """Return what fixes the units: the potential and, but for fluctuations, the mean diameter."""
+    ours = packing.provenance.get("program") == "petscjam"
+    return packing.potential_name, 1.0 if ours else packing.mean_diameter
+
+
+def _check_units(folder: Path, kinds: dict[tuple[str, float], str]) -> None:
+    (potential, diameter), first = next(iter(kinds.items()), (("", 1.0), ""))
+    for (other, width), file in kinds.items():
+        if other != potential:
+            what = f"the potential of {first} is {potential}, that of {file} {other}"
+        elif not 0.8 < width / diameter < 1.25:  # a few polydisperse disks
+            what = f"the mean diameter of {first} is {diameter:.4g}, that of {file} {width:.4g}"
+        else:
+            continue
+        raise InputError(f"{folder}: mixed units: {what}; keep them in different folders")
+
+
+def _row(name: str, packing: Packing) -> dict[str, Any]:
+    c, network = packing.certificate, None
+    if c.pressure is None or c.contacts is None:
+        network = ContactNetwork.of(packing)
+    return {
+        "file": name, "particles": len(packing), "target": packing.provenance.get("pressure"),
+        "seed": packing.provenance.get("seed"), "phi": packing.phi,
+        "pressure": network.pressure if network else c.pressure,
+        "Z": network.Z if network else c.Z,
+        "rattlers": network.rattlers if network else c.rattlers,
+        "contacts": len(network.without_rattlers()) if network else c.contacts,
+        "lowest_eigenvalue": c.lowest_eigenvalue, "shear_modulus": c.shear_modulus,
+        "max_force": c.max_force, "proved": c.proved, "checksum": packing.checksum, "seconds": None,
+    }  # fmt: skip
+
+
+def _failed(line: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "file": line["file"], "particles": int(line["particles"]), "target": float(line["target"]),
+        "seed": int(line["seed"]), "seconds": _number(line["seconds"]), "failure": line["failure"],
+    }  # fmt: skip
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerow([row.get(name) for name in COLUMNS])
+    return text.getvalue()
+
+
+def _append(file: Path, row: Mapping[str, Any]) -> None:
+    """Append a line by one call: ranks that do so at the same time do not mix theirs."""
+    with naming(file):
+        index = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        try:
+            os.write(index, _line(row).encode())
+        finally:
+            os.close(index)

@@ -1,0 +1,33 @@
+"""What the figures share: colours, and a file that is whole or absent."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from petscjam.errors import InputError
+from petscjam.storage import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
+
+
+def save(figure: Figure, path: str | PathLike[str], dpi: float = 150) -> None:
+    """Write ``figure`` in the format its name ends in (PNG without one), wholly or not at all.
+
+    Raises
+    ------
+    InputError
+        If the format is not known, or the file cannot be written.
+    """
+    kind = Path(path).suffix.removeprefix(".").lower() or "png"
+    known = figure.canvas.get_supported_filetypes()
+    if kind not in known:
+        raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
+    picture = BytesIO()
+    figure.savefig(picture, dpi=dpi, format=kind)
+    write_atomically(path, picture.getvalue())

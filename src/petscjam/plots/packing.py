@@ -1,0 +1,176 @@
+"""Figure of a packing: disks, contact forces, rattlers; and of how its preparation went.
+
+Axes: i disk, c contact, x Cartesian, l lattice vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.box import Array, Box, Integers
+from petscjam.network import ContactNetwork
+from petscjam.packing.packing import Packing
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, save
+
+SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
+RATTLER, CAGED = "#7a5c00", "#fbeeb8"
+OUTLINED = 20_000  # disks; more are drawn without outlines, and as pixels in vector formats
+FORCE_WIDTH = 0.11  # mean diameters, of a line that stands for the mean contact force
+CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+VERDICTS = {
+    None: ("not judged", "0.45"),
+    True: ("proved minimum", STABLE),
+    False: ("not proved", UNSTABLE),
+}
+
+
+def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
+    """Draw ``packing``: one cell of it, cut at the edges of the cell.
+
+    Contact forces are lines from centre to centre, as wide as the force. A contact or a disk that reaches
+    across an edge appears at the opposite one, too. Rattlers are yellow and dashed. With ``history`` in the
+    provenance — equally long lists ``evaluations`` (of the forces, so far), ``pressure``, ``force`` (the
+    largest on a disk) and ``phi`` — pressure, force and packing fraction are drawn beside it.
+
+    Raises
+    ------
+    InputError
+        If two disks coincide, or the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    size = float(np.clip(0.22 * np.sqrt(len(packing)), 6.0, 12.0))  # inches
+    width, height = np.ptp(CORNERS @ packing.box.cell, axis=0)
+    tall = size * float(min(height / width, 2.0)) + 0.6
+    history = _history(packing)
+    if history is None:
+        figure = Figure(figsize=(size, tall), layout="constrained")
+        _draw_packing(figure.subplots(), packing, size)
+    else:
+        figure = Figure(figsize=(1.75 * size, max(tall, 5.0)), layout="constrained")
+        halves: Any = figure.subfigures(1, 2, width_ratios=[1, 0.75])
+        _draw_packing(halves[0].subplots(), packing, size)
+        _draw_history(halves[1], history, packing.provenance.get("pressure"))
+    save(figure, path, dpi=200)
+
+
+def _draw_packing(axes: Any, packing: Packing, size: float) -> None:
+    """Draw it on ``axes`` about ``size`` inches wide."""
+    from matplotlib.collections import EllipseCollection, LineCollection
+    from matplotlib.colors import to_rgba_array
+    from matplotlib.patches import Polygon
+
+    network, box, radii = ContactNetwork.of(packing), packing.box, packing.radii
+    corners = CORNERS @ box.cell
+    low, high = corners.min(0), corners.max(0)
+    extent = float(max(high[0] - low[0], (high[1] - low[1]) / 2))
+    cut = Polygon(corners, fc="none", ec="0.35", lw=1, zorder=4)
+    axes.add_patch(cut)
+    many = len(packing) > OUTLINED
+    disk, centre = _images(box, packing.positions, radii.max())
+
+    def draw(collection: Any) -> None:
+        collection.set_rasterized(many)
+        axes.add_collection(collection, autolim=False)
+        collection.set_clip_path(cut)
+
+    shade = (radii - radii.min()) / max(np.ptp(radii), 1e-12 * radii.max())
+    small, large = to_rgba_array([SMALL, LARGE])
+    face = small + shade[:, None] * (large - small)
+    face[~network.backbone] = to_rgba_array(CAGED)
+    pixels = 72 * size / extent * packing.mean_diameter  # points a disk is wide
+    thin = min(0.8, 0.04 * pixels)
+    for rattlers in (False, True):
+        some = network.backbone[disk] != rattlers
+        width = 2 * radii[disk[some]]
+        draw(
+            EllipseCollection(
+                width, width, np.zeros(len(width)), units="xy", offsets=centre[some],
+                offset_transform=axes.transData, facecolors=face[disk[some]],
+                edgecolors="none" if many else RATTLER if rattlers else RIM,
+                linewidths=0 if many else thin * (1.4 if rattlers else 1),
+                linestyles=(0, (3, 2)) if rattlers else "solid", zorder=1 + rattlers,
+            )
+        )  # fmt: skip
+    if len(network):
+        start = packing.positions[network.i]
+        contact, middle = _images(box, start + network.r / 2, 1.5 * radii.max())  # lines are wide
+        half = network.r[contact] / 2
+        strength = network.force / max(network.force.mean(), np.finfo(float).tiny)
+        ends: Any = np.stack([middle - half, middle + half], axis=1)
+        draw(
+            LineCollection(
+                ends, colors=FORCE, capstyle="round",
+                linewidths=FORCE_WIDTH * pixels * strength[contact], zorder=3,
+            )
+        )  # fmt: skip
+    margin = 0.01 * extent
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    axes.set_frame_on(False)
+    verdict, colour = VERDICTS[packing.certificate.proved]
+    count = network.rattlers
+    axes.set_title(
+        f"{len(packing)} disks, $\\phi$ = {packing.phi:.5f}, p = {network.pressure:.3g}, "
+        f"Z = {network.Z:.3f}, {count} rattler{'' if count == 1 else 's'}",
+        fontsize=size + 4, pad=2 * (size + 4),
+    )  # fmt: skip
+    axes.annotate(verdict, (0.5, 1), (0, 5), xycoords="axes fraction", textcoords="offset points",
+                  ha="center", color=colour, fontsize=size + 4)  # fmt: skip
+
+
+def _images(box: Box, points: Array, reach: float) -> tuple[Integers, Array]:
+    """Return every image of ``points`` (P, 2) within ``reach`` of the cell, and which point each is of."""
+    inverse = np.linalg.inv(box.cell)
+    s = points @ inverse
+    s = s - np.floor(s)
+    margin = reach * np.linalg.norm(inverse, axis=0)  # in units of each lattice vector
+    shells = [np.arange(-m, m + 1) for m in np.ceil(margin).astype(int)]
+    which, where = [], []
+    for shift in np.array(np.meshgrid(*shells)).reshape(2, -1).T:
+        image = s + shift
+        near = np.flatnonzero(((image > -margin) & (image < 1 + margin)).all(1))
+        which.append(near)
+        where.append(image[near] @ box.cell)
+    return np.concatenate(which), np.concatenate(where)
+
+
+def _history(packing: Packing) -> dict[str, Array] | None:
+    """Return the history of the preparation as arrays; None without one, or with one that makes no sense."""
+    history = packing.provenance.get("history")
+    names = ("evaluations", "phi", "pressure", "force")
+    if not isinstance(history, Mapping) or not all(name in history for name in names):
+        return None
+    columns = {name: np.asarray(history[name], dtype=float) for name in names}
+    shapes = {column.shape for column in columns.values()}
+    return columns if len(shapes) == 1 and columns["phi"].ndim == 1 and columns["phi"].size > 1 else None
+
+
+def _draw_history(figure: Any, history: Mapping[str, Array], target: float | None) -> None:
+    """Draw pressure, largest force and packing fraction against force evaluations."""
+    panels = figure.subplots(3, 1, sharex=True)
+    evaluations = history["evaluations"]
+    for axes, name, label, colour in (
+        (panels[0], "pressure", "pressure", STORAGE),
+        (panels[1], "force", "largest force on a disk", LOSS),
+        (panels[2], "phi", r"packing fraction $\phi$", "0.25"),
+    ):
+        values = history[name]
+        positive = values[values > 0]
+        if name == "force" or (name == "pressure" and len(positive) and np.ptp(np.log(positive)) > np.log(5)):
+            axes.set_yscale("log")
+            values = np.where(values > 0, values, np.nan)
+        axes.plot(evaluations, values, color=colour, lw=1.2)
+        axes.set_ylabel(label)
+        axes.spines[["top", "right"]].set_visible(False)
+    if target is not None:
+        panels[0].axhline(target, color="0.3", lw=0.9, ls="--", zorder=0)
+        panels[0].annotate(f"target {target:.3g}", (1, target), (0, 4), ha="right", color="0.3", fontsize=9,
+                           xycoords=("axes fraction", "data"), textcoords="offset points")  # fmt: skip
+    panels[0].set_title("Preparation", fontsize=10)
+    panels[2].set_xlabel("force evaluations")
+    panels[2].ticklabel_format(axis="y", useOffset=False)
