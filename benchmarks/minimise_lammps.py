@@ -72,17 +72,12 @@ def ours(x, radii, length, rms, method):
     evaluations : int
         Of the forces.
     """
-    from petscjam.packing import minimise
+    from petscjam.packing.minimise import Enthalpy
+    from petscjam.packing.newton import descend, first_closeness
 
-    class Energy(minimise.Enthalpy):
-        def gradient(self, z):
-            g = super().gradient(z)
-            self.rms = np.linalg.norm(g) / len(radii) ** 0.5
-            return g
-
-    energy = Energy(radii, length)
-    z = minimise.METHODS[method](energy, np.append(x, 0.0), lambda h: h.rms <= rms)
-    return energy.unpack(z)[0], energy.evaluations
+    energy = Enthalpy(pj.Packing(x, radii, pj.Box.square(length)))
+    z = descend(energy, energy.start, (rms, 0.0, 0.0), first_closeness(len(x)), method)
+    return energy.at(z).positions, energy.evaluations
 
 
 def work(method):

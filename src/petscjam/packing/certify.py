@@ -119,6 +119,11 @@ def _count_below(K: csc_array, sigma: float) -> int:
     return below
 
 
+def rounding_force(network: ContactNetwork) -> float:
+    """Force that positions in double precision leave on a disk, 4·ε·k·L."""
+    return 4 * EPS * float(network.stiffness.max(initial=0.0)) * network.area**0.5
+
+
 @dataclass(frozen=True, eq=False)
 class Instability:
     """A motion along which the energy (or, with strain, the enthalpy) falls.
@@ -284,7 +289,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
     network = ContactNetwork.of(packing)
     K = hessian(network)
     pressure, diameter = network.pressure, packing.mean_diameter
-    floor = 4 * EPS * float(network.stiffness.max()) * packing.box.area**0.5
+    floor = rounding_force(network)
     force = float(np.linalg.norm(network.residual_force, axis=1).max())
     anisotropy = float(abs(network.stress - pressure * np.eye(2)).max())
     miss = 0.0 if target_pressure is None else abs(pressure - target_pressure)

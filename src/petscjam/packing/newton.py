@@ -1,4 +1,4 @@
-"""Newton steps on the sparse Hessian, to finish a minimisation once the contacts have settled.
+"""Newton steps on the sparse Hessian finish a minimisation once the contacts have settled.
 
 Axes: c contact, i disk (sorted as in z), x Cartesian, s strain of the cell.
 """
@@ -11,39 +11,74 @@ from petscjam.box import Array
 from petscjam.errors import SolverError
 from petscjam.kinematics import StrainMode, elastic_form
 from petscjam.network import ContactNetwork, backbone
-from petscjam.packing.minimise import Enthalpy, Goal
+from petscjam.packing.minimise import METHODS, Enthalpy, Goal
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying
 from petscjam.parallel.solver import direct_solver
 
 SHIFT = 1e-10  # in units of the largest stiffness
+PATIENCE = 3
+
+
+def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) -> Array:
+    """Alternate ``method`` and Newton's method until ``goal``; return z.
+
+    Newton's method is tried when no force exceeds ``closeness``·p·d; if in vain, again at a hundredth.
+    """
+    while True:
+        pressure = h.target or 0.0
+        nearer = (
+            max(goal[0], closeness * pressure * h.diameter),
+            max(goal[1], closeness * h.diameter),
+            max(goal[2], 10 * closeness * pressure),
+        )
+        z = METHODS[method](h, z, nearer)
+        if h.reached(goal):
+            return z
+        z = newton(h, z, goal)
+        if h.reached(goal):
+            return z
+        closeness = closeness / 100 if closeness > 1e-12 else 0.0
+
+
+def first_closeness(n: int) -> float:
+    """Return the largest force, in p·d, from which Newton's method may lead to the minimum of ``n`` disks.
+
+    The more disks, the more contacts are about to open or close. By experiment.
+    """
+    return 1e-4 * min(1.0, 1000 / n)
 
 
 def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
-    """Take Newton steps until ``goal``, or as long as each brings it at least twice as near; return z.
+    """Take Newton steps until ``goal``, or until PATIENCE of them have not halved the distance; return z.
 
-    A step that does not is taken back: contacts opened or closed, or the Hessian is not positive definite,
-    and it is for the other methods to go on.
+    A step may open or close a few contacts and so lead further away at first: the Hessian of the new contacts
+    then brings it back. What leads nowhere is undone, and so is a step that is not small beside the overlaps;
+    then it is for the other methods to go on.
     """
     g = h.gradient(z)
-    while not h.reached(goal):
-        before, state = h.distance(goal), (h.force, h.energy, h.stress)
+    best, at_best, nearest = z, (h.force, h.energy, h.stress), h.distance(goal)
+    vain = 0
+    while not h.reached(goal) and vain < PATIENCE:
         try:
-            d = _direction(h, z, g)
+            d, overlap = _direction(h, z, g)
         except SolverError:  # singular
             break
-        if not np.abs(d).max() < 0.1 * h.diameter:
-            break
-        g = h.gradient(z + d)
-        if not h.distance(goal) < 0.5 * before:
-            h.force, h.energy, h.stress = state
+        if not np.abs(d).max() < 0.1 * overlap:
             break
         z = z + d
-    return z
+        g = h.gradient(z)
+        vain = 0 if h.distance(goal) < 0.5 * nearest else vain + 1
+        if vain == 0:
+            best, at_best, nearest = z, (h.force, h.energy, h.stress), h.distance(goal)
+    h.force, h.energy, h.stress = at_best
+    return best
 
 
-def _direction(h: Enthalpy, z: Array, g: Array) -> Array:
-    """Solve Hessian·d = −g; the strains are eliminated by their Schur complement.
+def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
+    """Solve Hessian·d = −g, and return d and the mean overlap of contacts, too.
+
+    The strains are eliminated by their Schur complement.
 
     The Hessian is that of the contacts at hand, with their pre-stress (BT eq. 4), and SHIFT on the disks,
     which keeps finite what nothing resists: translations and rattlers.
@@ -75,7 +110,9 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> Array:
         d = d + u[:, 1:] @ strain
         change = sum(e * E for e, E in zip(strain, h.strains, strict=True)) @ F
     on_disks = d.reshape(n, 2) @ np.linalg.inv(F).T
-    return np.append(on_disks, [h.weight * np.sum(change * E) / np.sum(E * E) for E in h.strains])
+    on_cell = [h.weight * np.sum(change * E) / np.sum(E * E) for E in h.strains]
+    overlap = h.radii[network.i] + h.radii[network.j] - network.distance
+    return np.append(on_disks, on_cell), float(overlap.mean())
 
 
 def _pulled(g: Array, F: Array) -> Array:

@@ -15,9 +15,9 @@ import numpy as np
 from petscjam.box import Array, Box
 from petscjam.errors import InputError
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import Instability, judge
+from petscjam.packing.certify import Instability, judge, rounding_force
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
-from petscjam.packing.newton import newton
+from petscjam.packing.newton import descend, first_closeness
 from petscjam.packing.packing import Packing
 from petscjam.potential import POTENTIALS
 from petscjam.progress import Report
@@ -164,43 +164,30 @@ def _minimum(
         packing, pressure, shape=stabilised, threads=threads,
         budget=book.budget, evaluations=book.spent, report=book,
     )  # fmt: skip
-    z, closeness = h.start, 1e-4
+    z, closeness = h.start, first_closeness(len(packing))
     if way_down is not None:
         z = h.downhill(way_down.displacement, way_down.strain)
         closeness = min(closeness, 1e-2 * h.force / (h.pressure * h.diameter))
-    force, _, stress = _goal(h, z)
-    z = _descend(h, z, (4 * force, 0.0, stress), closeness, method)
+    force, relative, error = _goal(h, z)
+    z = descend(h, z, (4 * force, relative, error), closeness, method)
     book.close(h)
     packing = _free_rattlers(h.at(z))
     # Scaling the positions rounds them; what this leaves is relaxed where it will be read.
     h = Enthalpy(packing, threads=threads, budget=book.budget, evaluations=book.spent, report=book)
-    z = _descend(h, h.start, _goal(h, h.start), 0.0, method)
+    z = descend(h, h.start, _goal(h, h.start), 0.0, method)
     book.close(h)
     return h.at(z)
 
 
 def _goal(h: Enthalpy, z: Array) -> Goal:
-    """Half of what is promised: whoever recomputes the forces from the file rounds differently."""
-    if not np.isfinite(h.force):
-        h.gradient(z)
-    pressure = h.pressure if h.target is None else h.target
-    floor = 2 * float(np.finfo(float).eps) * h.stiffest * h.packing.box.area**0.5
-    return max(0.5e-10 * pressure * h.diameter, floor), 0.0, max(0.5e-9 * pressure, floor / h.diameter)
+    """Less than is promised: whoever recomputes the forces from the file rounds differently.
 
-
-def _descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) -> Array:
-    """Alternate ``method``, to forces of ``closeness``·p·d, and Newton's method, ever closer, to ``goal``."""
-    while True:
-        pressure = h.target or 0.0
-        nearer = max(goal[0], closeness * pressure * h.diameter), closeness * h.diameter, goal[2]
-        error = max(goal[2], 10 * closeness * pressure)
-        z = METHODS[method](h, z, (nearer[0], nearer[1], error))
-        if h.reached(goal):
-            return z
-        z = newton(h, z, goal)
-        if h.reached(goal):
-            return z
-        closeness = closeness / 10 if closeness > 1e-12 else 0.0
+    The floor is what positions of double precision leave; half of it is out of reach for the worst of many
+    disks.
+    """
+    floor = 0.9 * rounding_force(ContactNetwork.of(h.at(z)))
+    error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
+    return max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error
 
 
 class _LogBook:
