@@ -210,10 +210,10 @@ def test_prepare_many_seeds_and_resume(tmp_path):
     folder = tmp_path / "library"
     arguments = ["prepare", "--particles", "32", "--pressure", "1e-2", "--seeds", "1:2", "-o", str(folder)]
     assert main(arguments) == 0
-    first = sorted(folder.iterdir())
+    first = sorted(folder.glob("*.h5"))
     stamps = [os.stat(p).st_mtime_ns for p in first]
     assert main([*arguments[:6], "1:3", *arguments[7:], "--resume"]) == 0
-    assert len(list(folder.iterdir())) == 3
+    assert len(list(folder.glob("*.h5"))) == 3
     assert [os.stat(p).st_mtime_ns for p in first] == stamps
 
 
@@ -225,12 +225,80 @@ def test_prepare_many_seeds_and_resume(tmp_path):
         (["--seeds", "5:1"], "5:1"),
         (["--seeds", "1:99999999999"], "99999999999"),
         (["--method", "magic"], "magic"),
-        (["--shear-stabilised"], "shear_stabilised"),
+        (["--pressure", "1e-3,0"], "0"),
+        (["--pressure", "1e-2:1e-3"], "1e-2:1e-3"),
+        (["--particles", "64,3"], "3"),
+        (["--particles", "many"], "many"),
+        (["--ratio", "0"], "ratio"),
+        (["--potential", "glue"], "glue"),
+        (["--budget", "0"], "budget"),
+        (["--pressure", "1e-2,0.01"], "N1024_p0.01_s0001.h5"),
         (["--seed", "1", "--seeds", "1:2"], "--seed"),
     ],
 )
 def test_prepare_refuses(tmp_path, capfd, options, named):
     assert named in refused(capfd, "prepare", *options, "-o", tmp_path / "p.h5")
+
+
+def test_info_says_what_was_certified(tmp_path, capsys):
+    out = tmp_path / "p.h5"
+    main(["prepare", "--particles", "16", "--pressure", "1e-2", "-o", str(out)])
+    certificate = pj.Packing.read(out).certificate
+    assert certificate.shear_modulus < 0
+    capsys.readouterr()
+    main(["info", str(out)])
+    text = capsys.readouterr().out
+    for said in (
+        "proved minimum     yes", "zero modes         0", f"{certificate.contacts} in the backbone",
+        f"{certificate.lowest_eigenvalue:.6g} ±", "UNSTABLE against shear",
+    ):  # fmt: skip
+        assert said in text, said
+
+
+def test_an_imported_packing_is_judged(packing, capsys):
+    assert pj.Packing.read(packing).certificate.proved
+    main(["info", str(packing)])
+    assert "UNSTABLE" not in capsys.readouterr().out
+
+
+def test_a_packing_that_is_not_jammed_is_imported_with_a_warning(packing, tmp_path, capfd):
+    p, loose, out = pj.Packing.read(packing), tmp_path / "loose.xyz", tmp_path / "loose.h5"
+    pj.export_packing(pj.Packing(p.positions, p.radii / 2, p.box), loose)
+    capfd.readouterr()
+    assert main(["import", str(loose), "-o", str(out)]) == 0
+    assert f"warning: {loose} is not judged: " in capfd.readouterr().err
+    assert pj.Packing.read(out).certificate == pj.Certificate()
+
+
+def test_an_imported_packing_is_relaxed_on_request(packing, tmp_path):
+    p, shaken, out = pj.Packing.read(packing), tmp_path / "shaken.xyz", tmp_path / "out.h5"
+    shift = 1e-3 * np.random.default_rng(0).standard_normal(p.positions.shape)
+    pj.export_packing(pj.Packing(p.positions + shift, p.radii, p.box), shaken)
+    main(["import", str(shaken), "-o", str(out)])
+    assert not pj.Packing.read(out).certificate.proved
+    assert main(["import", str(shaken), "--relax", "-o", str(out), "--overwrite"]) == 0
+    relaxed = pj.Packing.read(out)
+    assert relaxed.certificate.proved
+    assert (relaxed.box.cell == p.box.cell).all()
+    options = ["--relax", "--pressure", "2e-3", "--shear-stabilised", "--overwrite"]
+    assert main(["import", str(shaken), *options, "-o", str(out)]) == 0
+    certificate = pj.Packing.read(out).certificate
+    assert certificate.proved
+    assert certificate.pressure == pytest.approx(2e-3, rel=1e-9)
+    assert certificate.shear_modulus > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--pressure", "1e-3"], "--relax"), (["--shear-stabilised"], "--relax"),
+        (["--relax", "--pressure", "-1"], "-1"), (["--potential", "hertzian"], "hertzian"),
+        (["--potential", "glue"], "glue"),
+    ],
+)  # fmt: skip
+def test_import_refuses(tmp_path, capfd, options, named):
+    assert named in refused(capfd, "import", SIXTEEN, *options, "-o", tmp_path / "p.h5")
+    assert not (tmp_path / "p.h5").exists()
 
 
 @pytest.mark.parametrize("verb", ["prepare", "info", "import", "export", "moduli", "plot"])
@@ -275,6 +343,18 @@ def test_mpirun_prepare_refuses_with_one_message(tmp_path, mpirun):
     assert not (tmp_path / "library").exists()
 
 
+def test_mpirun_with_work_for_one_rank_only(packing, tmp_path, mpirun):
+    """PETSc starts on all ranks together, or waits forever."""
+    one, two, three = (tmp_path / f"{name}.h5" for name in ("one", "two", "three"))
+    settings = ["--particles", "16", "--pressure", "1e-2"]
+    assert main(["prepare", *settings, "-o", str(one)]) == 0
+    for arguments in (["prepare", *settings, "-o", two], ["import", SIXTEEN, "--relax", "-o", three]):
+        run = mpirun(2, "-m", "petscjam", *arguments, timeout=60)
+        assert run.returncode == 0, run.stderr
+    assert one.read_bytes() == two.read_bytes()
+    assert pj.Packing.read(three).certificate.proved
+
+
 def test_mpirun_help_prints_once(mpirun):
     assert mpirun(2, "-m", "petscjam", "--help").stdout.count("usage:") == 1
 
@@ -282,7 +362,7 @@ def test_mpirun_help_prints_once(mpirun):
 def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
     """Rank 1 fails in the middle of a sweep, where rank 0 waits for it."""
     script = (
-        "import sys; from mpi4py import MPI; import petscjam.response.solver as s\n"
+        "import sys; from mpi4py import MPI; import petscjam.parallel.solver as s\n"
         "from petscjam.cli import main\n"
         "solve = s.DirectSolver.solve\n"
         "def fails(self, rhs):\n"

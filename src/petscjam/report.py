@@ -7,34 +7,84 @@ from collections.abc import Mapping
 import numpy as np
 
 from petscjam.network import ContactNetwork
+from petscjam.packing.library import Library
 from petscjam.packing.packing import Packing
 from petscjam.response.result import ComplexModulus
 
 
 def describe_packing(packing: Packing) -> str:
     """Return a few lines on ``packing``: geometry, contacts, certificate, provenance."""
-    network = ContactNetwork.of(packing)
-    certificate = packing.certificate
+    network, c = ContactNetwork.of(packing), packing.certificate
     cell = "; ".join(" ".join(f"{x:.8g}" for x in vector) for vector in packing.box.cell)
+    lines = {
+        "units": "lengths as in the source, k of the potential",
+        "disks": f"{len(packing)} ({network.rattlers} rattlers)",
+        "packing fraction": f"{packing.phi:.10f}",
+        "cell": f"{cell} (rows are the lattice vectors)",
+        "mean diameter": f"{packing.mean_diameter:.8g}",
+        "potential": packing.potential_name,
+        "pressure": f"{network.pressure:.10g} k",
+        "contacts": f"{len(network)}, {len(network.without_rattlers())} in the backbone, Z = {network.Z:.6g}",
+        "checksum": packing.checksum,
+        "proved minimum": {None: "not judged", True: "yes", False: "no"}[c.proved],
+    }
+    if c.max_force is not None:
+        lines["largest force"] = f"{c.max_force:.1e} p·d"
+    if c.pressure_error is not None:
+        lines["pressure error"] = f"{c.pressure_error:.1e} of the target"
+    if c.stress_error is not None:
+        lines["shear stress"] = f"{c.stress_error:.1e} p"
+    if c.negative_modes is not None:
+        lines["negative modes"] = f"{c.negative_modes}"
+    if c.zero_modes is not None:
+        lines["zero modes"] = f"{c.zero_modes} (translations left out)"
+    if c.lowest_eigenvalue is not None:
+        lines["lowest eigenvalue"] = f"{c.lowest_eigenvalue:.6g} ± {c.eigenvalue_error or 0:.0e} k"
+    if c.shear_modulus is not None:
+        flag = ": UNSTABLE against shear" * (c.shear_modulus < 0)
+        lines["shear modulus"] = f"{c.shear_modulus:.6g} k, softest direction{flag}"
+    for key, value in packing.provenance.items():
+        lines[key] = f"{len(value['phi'])} points" if key == "history" else value
+    return "\n".join(f"{key:18s} {value}" for key, value in lines.items())
+
+
+def describe_library(library: Library) -> str:
+    """Return a table of a folder of packings, a line for each number of disks and target pressure."""
+    rows, failed = library.rows, library.failed
+    verdicts = [row["proved"] for row in rows]
+    seconds = [row["seconds"] for row in [*rows, *failed] if row["seconds"] is not None]
     lines = [
-        f"disks             {len(packing)} ({network.rattlers} rattlers)",
-        f"packing fraction  {packing.phi:.10f}",
-        f"cell              {cell} (rows are the lattice vectors)",
-        f"mean diameter     {packing.mean_diameter:.8g}",
-        f"potential         {packing.potential_name}",
-        f"pressure          {network.pressure:.10g}",
-        f"contacts          {len(network)}, Z = {network.Z:.6g} on the backbone",
-        f"checksum          {packing.checksum}",
+        f"{len(rows)} packings: {verdicts.count(True)} proved minima, {verdicts.count(False)} not proved, "
+        f"{verdicts.count(None)} not judged; {len(failed)} failed; {sum(seconds):.0f} s of work",
+        ", ".join(f"{key} {value}" for key, value in library.recipe.items()) or "no recipe",
+        f"{'N':>7} {'p (k)':>10} {'made':>5} {'proved':>6} {'failed':>6} {'phi':>20} {'Z':>7} "
+        f"{'rattlers':>8} {'unstable':>8} {'lowest eigenvalue (k)':>21} {'time (s)':>9}",
     ]
-    if certificate.max_force is not None:
-        verdict = {None: "not judged", True: "yes", False: "no"}[certificate.proved]
-        lines += [
-            f"largest force     {certificate.max_force:.1e} p·d",
-            f"negative modes    {'not counted' if (m := certificate.negative_modes) is None else m}",
-            f"proved minimum    {verdict}",
-        ]
-    lines += [f"{key:17s} {value}" for key, value in packing.provenance.items()]
+    groups: dict[tuple[int, float], tuple[list, list]] = {}
+    for k, row in enumerate([*rows, *failed]):
+        target = row["target"] or float(f"{row['pressure']:.1e}")
+        groups.setdefault((row["particles"], target), ([], []))[k >= len(rows)].append(row)
+    for (n, target), (some, lost) in sorted(groups.items(), key=lambda item: (item[0][0], -item[0][1])):
+        phi, Z, rattlers = ([row[name] for row in some] for name in ("phi", "Z", "rattlers"))
+        low = [row["lowest_eigenvalue"] for row in some if row["lowest_eigenvalue"] is not None]
+        time = [row["seconds"] for row in [*some, *lost] if row["seconds"] is not None]
+        unstable = sum((row["shear_modulus"] or 0) < 0 for row in some)
+        lines.append(
+            f"{n:7d} {target:10.4g} {len(some):5d} {[row['proved'] for row in some].count(True):6d} "
+            f"{len(lost):6d} {_mean(phi):>20} {np.mean(Z) if Z else np.nan:7.4f} "
+            f"{np.mean(rattlers) if rattlers else np.nan:8.1f} {unstable:8d} "
+            f"{f'{min(low):.2e} … {max(low):.2e}' if low else '—':>21} "
+            f"{f'{sum(time):.1f}' if time else '—':>9}"
+        )
+    lines.append("phi ± standard error; Z, rattlers: means; unstable: against shear in some direction")
     return "\n".join(lines)
+
+
+def _mean(values: list[float]) -> str:
+    """Write mean ± standard error."""
+    if len(values) < 2:
+        return f"{values[0]:.6f}" if values else "—"
+    return f"{np.mean(values):.6f} ± {np.std(values, ddof=1) / len(values) ** 0.5:.6f}"
 
 
 def table(results: Mapping[str, ComplexModulus]) -> str:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import h5py
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+VERSIONS = ("v108", "latest")  # H5MD recommends version 2 of the file format: metadata have checksums
 
 
 @contextmanager
@@ -119,10 +120,35 @@ def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5p
     if existing:
         with open_h5(path):
             memory = BytesIO(Path(path).read_bytes())
-    # Version 2 of the file format, which H5MD recommends, has checksums on its metadata.
-    with h5py.File(memory, "r+" if existing else "w", libver=("v108", "latest")) as file:
+    with h5py.File(memory, "r+", libver=VERSIONS) if existing else _new_h5(memory) as file:
         yield file
     write_atomically(path, memory.getvalue())
+
+
+def group(parent: h5py.Group, path: str) -> h5py.Group:
+    """Return the group at ``path``, made if need be. It keeps no time: the same content, the same bytes."""
+    import h5py
+
+    timeless = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+    timeless.set_obj_track_times(False)
+    for name in path.split("/"):
+        there = name in parent
+        parent = (
+            parent[name] if there else h5py.Group(h5py.h5g.create(parent.id, name.encode(), gcpl=timeless))
+        )
+    return parent
+
+
+def _new_h5(memory: BytesIO) -> h5py.File:
+    """Do what h5py.File does, but keep no time of the root group."""
+    import h5py
+
+    timeless, access = h5py.h5p.create(h5py.h5p.FILE_CREATE), h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    timeless.set_obj_track_times(False)
+    access.set_fclose_degree(h5py.h5f.CLOSE_STRONG)
+    access.set_libver_bounds(h5py.h5f.LIBVER_V18, h5py.h5f.LIBVER_LATEST)
+    access.set_fileobj_driver(h5py.h5fd.fileobj_driver, memory)
+    return h5py.File(h5py.h5f.create(b"memory", h5py.h5f.ACC_TRUNC, fcpl=timeless, fapl=access))
 
 
 @contextmanager

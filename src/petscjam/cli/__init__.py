@@ -39,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(argv: list[str], comm: Any) -> int:
     """Parse ``argv`` and do what it says."""
-    from petscjam.cli.parser import build_parser, misspelt
+    from petscjam.cli.config import misspelt
+    from petscjam.cli.parser import build_parser
     from petscjam.parallel.petsc import set_options
 
     cut = argv.index("--") if "--" in argv else len(argv)

@@ -5,36 +5,38 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
 from petscjam.cli import verbs
+from petscjam.cli.config import settings
 from petscjam.cli.laws import option
+from petscjam.cli.values import frequencies, number, points, seeds, whole
 from petscjam.damping import LAWS
 from petscjam.errors import InputError
 from petscjam.kinematics import STRAINS
+from petscjam.packing.prepare import BUDGET, METHODS
+from petscjam.potential import POTENTIALS
 from petscjam.storage import release
 
-MOST = 1_000_000  # seeds, or frequencies
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that answers a mistake with one line."""
+    """An argument parser that reads a file of settings, too, and answers a mistake with one line."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, **kwargs})
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Put what ``--config FILE`` says in front of the options; the later of two counts."""
+        if "--config" in self._option_string_actions:
+            args = [*settings(args, self._option_string_actions, self._mutually_exclusive_groups), *args]
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage."""
         raise InputError(f"{self.prog.removeprefix('petscjam').strip() or 'command line'}: {message}")
-
-
-def misspelt(option: str, known: list[str]) -> str:
-    """Say that ``option`` is unknown and what may have been meant."""
-    close = get_close_matches(option.split("=")[0], known, 1)
-    return f"unknown argument {option}" + (f"; did you mean {close[0]}?" if close else "")
 
 
 def build_parser() -> Parser:
@@ -48,29 +50,60 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"petscjam {release('petscjam')}")
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
-    p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at a target pressure", RANKS)
-    p.add_argument("--particles", type=int, default=1024, metavar="N", help="number of disks (default 1024)")
-    p.add_argument("--pressure", type=number, default=1e-3, metavar="P",
-                   help="target pressure, in units of k (default 1e-3)")  # fmt: skip
+    p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at target pressures", RANKS)
+    p.add_argument("--particles", type=whole, default="1024", metavar="N,…",
+                   help="numbers of disks (default 1024)")  # fmt: skip
+    p.add_argument("--pressure", type=points, default="1e-3", metavar="P",
+                   help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
+                        "counted (default 1e-3)")  # fmt: skip
     either = p.add_mutually_exclusive_group()
     either.add_argument("--seed", type=int, help="seed of the random start (default 1)")
-    either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds, A to B, both counted")
-    p.add_argument("--method", choices=["cg", "fire"], default="cg",
-                   help="minimiser: nonlinear conjugate gradients or FIRE (default cg)")  # fmt: skip
-    p.add_argument("--shear-stabilised", action="store_true", help="not available yet")
+    either.add_argument("--seeds", type=seeds, metavar="A:B",
+                        help="many seeds: A to B, both counted, or a list A,B,…")  # fmt: skip
+    p.add_argument("--shear-stabilised", action="store_true",
+                   help="relax the shape of the cell, too; stable against shear")  # fmt: skip
+    p.add_argument("--decompress", action="store_true",
+                   help="start each pressure from the packing of the next higher one")  # fmt: skip
+    p.add_argument("--ratio", type=number, default=1.4, metavar="X",
+                   help="diameter of large disks over that of small ones (default 1.4)")  # fmt: skip
+    p.add_argument("--composition", type=number, default=0.5, metavar="X",
+                   help="share of small disks, by number (default 0.5)")  # fmt: skip
+    p.add_argument("--polydispersity", type=number, default=0.0, metavar="X",
+                   help="standard deviation over mean of the diameters of each kind (default 0)")  # fmt: skip
+    p.add_argument("--potential", choices=POTENTIALS, default="harmonic",
+                   help="contact potential (default harmonic)")  # fmt: skip
+    p.add_argument("--method", choices=METHODS, default="fire",
+                   help="minimiser: FIRE or nonlinear conjugate gradients (default fire)")  # fmt: skip
+    p.add_argument("--threads", type=int, metavar="T",
+                   help="threads of each rank (default: its share of the cores if the packings are large and "
+                        "few, else 1)")  # fmt: skip
+    p.add_argument("--budget", type=int, default=BUDGET, metavar="E",
+                   help=f"evaluations of the force for each packing (default {BUDGET})")  # fmt: skip
+    p.add_argument("--config", type=Path, metavar="FILE.toml",
+                   help="settings by the names of these options, as pressure = \"1e-2:1e-4:9\"; the command "
+                        "line counts more")  # fmt: skip
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
-    p = add(known, "info", verbs.info, "say what a packing or a result holds")
-    p.add_argument("file", type=Path, metavar="FILE")
+    p = add(known, "info", verbs.info, "say what a packing, a result or a folder of packings holds")
+    p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
 
     p = add(known, "import", verbs.import_, "turn another program's packing into ours (no rescaling)")
-    p.add_argument("file", type=Path, metavar="FILE", help="jamBashBulk text, jax-md netCDF, extended XYZ")
+    text = "jamBashBulk text, jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ"
+    p.add_argument("file", type=Path, metavar="FILE", help=text)
     p.add_argument("--index", type=int, default=0, help="which packing of a file with several (default 0)")
+    text = "contact potential of a file that does not say it (GSD, LAMMPS: default harmonic)"
+    p.add_argument("--potential", choices=POTENTIALS, help=text)
+    text = "minimise its energy again, at constant volume unless --pressure is given"
+    p.add_argument("--relax", action="store_true", help=text)
+    p.add_argument("--pressure", type=number, metavar="P", help="of --relax: target pressure, in units of k")
+    p.add_argument("--shear-stabilised", action="store_true", help="of --relax: as for prepare")
     output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
 
     p = add(known, "export", verbs.export, "write a packing for other programs")
     p.add_argument("file", type=Path, metavar="FILE")
-    p.add_argument("--to", default="xyz", metavar="FORMAT", help="xyz: extended XYZ, for OVITO and ASE")
+    p.add_argument("--to", default="xyz", metavar="FORMAT",
+                   help="xyz: extended XYZ, for OVITO and ASE; gsd: for HOOMD-blue, OVITO and freud; "
+                        "h5md: for MDAnalysis (default xyz)")  # fmt: skip
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
@@ -96,9 +129,9 @@ def build_parser() -> Parser:
                    help="one factorisation a frequency (for now the only way)")  # fmt: skip
     output(p, "OUT.h5", "results, one group a packing")
 
-    p = add(known, "plot", verbs.plot, "draw G' and G'' and the displacement fields of a result")
-    p.add_argument("file", type=Path, metavar="RESULT.h5")
-    output(p, "FIG.png", "figure (default: RESULT.png; the ending picks the format)",
+    p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or G' and G'' of a result")
+    p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
+    output(p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)",
            required=False, resume=False)  # fmt: skip
     return parser
 
@@ -117,53 +150,3 @@ def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume:
     either.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     if resume:
         either.add_argument("--resume", action="store_true", help="go on with an output that exists")
-
-
-def number(text: str) -> float:
-    """Parse a finite number."""
-    import math
-
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
-
-
-def seeds(text: str) -> range:
-    """Parse ``A:B``, both counted."""
-    try:
-        first, last = (int(part) for part in text.split(":"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a range A:B of whole numbers") from None
-    if last < first:
-        raise argparse.ArgumentTypeError(f"{text!r} is an empty range")
-    if last - first >= MOST:
-        raise argparse.ArgumentTypeError(f"{text!r} has more than {MOST} seeds")
-    return range(first, last + 1)
-
-
-def frequencies(text: str) -> Any:
-    """Parse ``A:B:N`` (evenly in the logarithm, both ends) or ``A,B,…``, all > 0."""
-    import numpy as np
-
-    from petscjam.response.moduli import frequencies as checked
-
-    try:
-        if ":" not in text:
-            return checked([float(part) for part in text.split(",")])
-        first, last, count = text.split(":")
-        ends = checked([float(first), float(last)])
-        if int(count) < 1 or (ends[1] < ends[0]):
-            raise InputError(f"omega: the range {text} is empty")
-        if int(count) > MOST:
-            raise InputError(f"omega: the range {text} has more than {MOST} points")
-        if int(count) == 1 and ends[0] != ends[1]:
-            raise InputError(f"omega: the range {text} has two ends but one point")
-        return np.geomspace(ends[0], ends[1], int(count))
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:N nor a list A,B,…") from None

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from petscjam.cli.laws import chosen_law
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 from petscjam.parallel.comm import on_root
 
 
@@ -19,63 +21,85 @@ def say(comm: Any, text: str) -> None:
 
 
 def prepare(options: argparse.Namespace, comm: Any) -> None:
-    """Deal the seeds to the ranks."""
+    """Prepare one packing, or a library of several."""
+    from petscjam.packing.library import Recipe, prepare_library
+    from petscjam.parallel.petsc import start
+    from petscjam.progress import progress
+
+    recipe = Recipe(
+        shear_stabilised=options.shear_stabilised, decompress=options.decompress, method=options.method,
+        potential_name=options.potential, ratio=options.ratio, composition=options.composition,
+        polydispersity=options.polydispersity,
+    )  # fmt: skip
+    if options.threads is not None and options.threads < 1:
+        raise InputError(f"prepare: --threads must be at least 1, not {options.threads}")
+    start(comm)
+    several = options.seeds is not None or len(options.particles) * len(options.pressure) > 1
+    if not (several or options.decompress or options.output.is_dir()):
+        _prepare_one(options, recipe, comm)
+        return
+    seeds = options.seeds or [_seed(options)]
+    with progress("prepare", show=comm.rank == 0) as report:
+        library = prepare_library(
+            options.output, options.particles, options.pressure, seeds, comm=comm, resume=options.resume,
+            overwrite=options.overwrite, threads=options.threads, budget=options.budget, progress=report,
+            **vars(recipe),
+        )  # fmt: skip
+    failed = [row for row in library.failed if row["file"] in library.tried]
+    there = len(options.particles) * len(options.pressure) * len(seeds) - len(library.tried)
+    proved = sum(row["proved"] is True for row in library.rows)
+    say(comm, f"{len(library.tried) - len(failed)} prepared, {there} there already, {len(failed)} failed: "
+              f"{options.output} ({proved} of {len(library.rows)} proved minima)")  # fmt: skip
+    if failed:
+        reasons = "".join(f"\n  {row['file']}: {row['failure']}" for row in failed)
+        raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{reasons}")
+
+
+def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Any) -> None:
+    from petscjam.packing.library import exists, threads_for
     from petscjam.packing.packing import Packing
     from petscjam.packing.prepare import check, prepare_packing
-    from petscjam.progress import part, progress
-    from petscjam.storage import check_output, naming
+    from petscjam.progress import progress
+    from petscjam.storage import check_output
 
-    one = 1 if options.seed is None else options.seed
-    many, target = options.seeds or [one], options.output
-    folder = options.seeds is not None or target.is_dir()
-    names = {seed: f"N{options.particles}_p{options.pressure:g}_s{seed:04d}.h5" for seed in many}
-    files = {seed: target / names[seed] if folder else target for seed in many}
+    n, pressure, seed, file = options.particles[0], float(options.pressure[0]), _seed(options), options.output
 
-    def made(file: Path, seed: int) -> bool:
-        if not file.exists():
-            return False
-        there = Packing.read(file).provenance
-        wanted = {
-            "n": options.particles, "pressure": options.pressure, "seed": seed, "method": options.method,
-        }  # fmt: skip
-        for key, value in wanted.items():
-            if there.get(key) != value:
-                raise InputError(f"{file}: has {key} = {there.get(key)}, not {value}; it cannot be resumed")
-        return True
-
-    def left() -> list[int]:
-        for seed in many:
-            check(options.particles, options.pressure, seed, options.shear_stabilised, options.method)
-        if folder:
-            with naming(target):
-                target.mkdir(parents=True, exist_ok=True)
-        todo = [seed for seed in many if not (options.resume and made(files[seed], seed))]
-        for seed in todo:
-            check_output(files[seed], overwrite=options.overwrite)
-        return todo
-
-    todo = on_root(comm, left)
-    mine = todo[comm.rank :: comm.size]
-    with progress("prepare", show=comm.rank == 0) as report:
-        for k, seed in enumerate(mine):
+    def work() -> str:
+        if options.resume and exists(file, n, pressure, seed, recipe):
+            return f"there already: {file} ({_in_short(Packing.read(file))})"
+        check_output(file, overwrite=options.overwrite)
+        with progress("prepare", show=True) as report:
             packing = prepare_packing(
-                options.particles, options.pressure, seed,
-                method=options.method, shear_stabilised=options.shear_stabilised,
-                progress=part(report, k, len(mine)),
-            )  # fmt: skip
-            packing.write(files[seed], overwrite=True)
-    comm.Barrier()
-    say(comm, f"{len(todo)} prepared, {len(many) - len(todo)} there already: {target}")
+                n, pressure, seed, **recipe.start, threads=threads, budget=options.budget, progress=report
+            )
+        packing.write(file, overwrite=True)
+        return f"prepared: {file} ({_in_short(packing)})"
+
+    check(n, pressure, seed, budget=options.budget, **recipe.start)
+    threads = options.threads or threads_for([n], comm)
+    say(comm, on_root(comm, work))
+
+
+def _seed(options: argparse.Namespace) -> int:
+    return 1 if options.seed is None else options.seed
+
+
+def _in_short(packing: Any) -> str:
+    verdict = {None: "not judged", True: "proved minimum", False: "not a proved minimum"}
+    return f"{len(packing)} disks, phi = {packing.phi:.6f}, {verdict[packing.certificate.proved]}"
 
 
 def info(options: argparse.Namespace, comm: Any) -> None:
-    """Print what a file holds."""
+    """Print what a file or a folder holds."""
 
     def text() -> str:
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result, read_moduli
-        from petscjam.report import describe_packing, table
+        from petscjam.packing.library import read_library
+        from petscjam.report import describe_library, describe_packing, table
 
+        if options.file.is_dir():
+            return describe_library(read_library(options.file))
         if is_result(options.file):
             return table(read_moduli(options.file))
         return describe_packing(import_packing(options.file))
@@ -84,16 +108,35 @@ def info(options: argparse.Namespace, comm: Any) -> None:
 
 
 def import_(options: argparse.Namespace, comm: Any) -> None:
-    """Import a packing."""
+    """Import a packing, and judge it or relax it."""
+    from petscjam.parallel.petsc import start
+    from petscjam.progress import progress
+
+    if not options.relax and (options.pressure is not None or options.shear_stabilised):
+        raise InputError("import: --pressure and --shear-stabilised go with --relax")
+    with suppress(InputError):
+        start(comm)
 
     def work() -> None:
         from petscjam.io.importers import import_packing
-        from petscjam.storage import check_output
+        from petscjam.packing.certify import certify
+        from petscjam.packing.prepare import relax_packing
+        from petscjam.storage import check_output, naming
 
         check_output(options.output, overwrite=options.overwrite, inputs=[options.file])
-        packing = import_packing(options.file, options.index)
+        packing = import_packing(options.file, options.index, options.potential)
+        if options.relax:
+            with naming(options.file), progress("relax", show=True) as report:
+                packing = relax_packing(
+                    packing, options.pressure, shear_stabilised=options.shear_stabilised, progress=report
+                )
+        elif packing.certificate.proved is None:
+            try:
+                packing = certify(packing)
+            except (InputError, SolverError) as error:
+                print(f"petscjam: warning: {options.file} is not judged: {error}", file=sys.stderr)
         packing.write(options.output, overwrite=options.overwrite)
-        print(f"{options.output}: {len(packing)} disks, phi = {packing.phi:.6f}")
+        print(f"{options.output}: {_in_short(packing)}")
 
     on_root(comm, work)
 
@@ -127,11 +170,13 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     from petscjam.io.importers import import_packing
     from petscjam.io.results import append_modulus, done, group_name, read_moduli
+    from petscjam.parallel.petsc import start
     from petscjam.progress import part, progress
     from petscjam.report import table
     from petscjam.response.moduli import complex_modulus
     from petscjam.storage import check_output, naming
 
+    start(comm)
     damping, omega = chosen_law(options), options.omega
     for w in options.fields:
         if not omega.min() <= w <= omega.max():
@@ -175,17 +220,25 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:
-    """Draw a result."""
+    """Draw a result, a packing or a folder of packings."""
 
     def work() -> None:
-        from petscjam.io.results import read_moduli
-        from petscjam.plots import plot_moduli
+        from petscjam.io.importers import import_packing
+        from petscjam.io.results import is_result, read_moduli
+        from petscjam.packing.library import read_library
+        from petscjam.plots import plot_library, plot_moduli, plot_packing
         from petscjam.storage import check_output
 
-        target = options.output or options.file.with_suffix(".png")
-        results = read_moduli(options.file)
-        check_output(target, overwrite=options.overwrite, inputs=[options.file])
-        plot_moduli(results, target)
+        given: Path = options.file
+        folder = given.is_dir()
+        target = options.output or (Path(f"{given.absolute()}.png") if folder else given.with_suffix(".png"))
+        check_output(target, overwrite=options.overwrite, inputs=[given])
+        if folder:
+            plot_library(read_library(given).rows, target)
+        elif is_result(given):
+            plot_moduli(read_moduli(given), target)
+        else:
+            plot_packing(import_packing(given), target)
         print(target)
 
     on_root(comm, work)

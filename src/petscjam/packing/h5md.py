@@ -24,7 +24,7 @@ import numpy as np
 from petscjam.box import Box
 from petscjam.errors import InputError
 from petscjam.packing.packing import Certificate, Packing
-from petscjam.storage import atomic_h5, check_output, open_h5, release
+from petscjam.storage import atomic_h5, check_output, group, open_h5, release
 
 if TYPE_CHECKING:
     import h5py
@@ -55,24 +55,24 @@ def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) 
     edges[:2, :2] = packing.box.cell
     with atomic_h5(path) as file:
         _write_header(file)
-        particles = file.create_group(PARTICLES)
-        position = particles.create_group("position")
+        particles = group(file, PARTICLES)
+        position = group(particles, "position")
         position["step"], position["time"] = np.zeros(1, dtype=int), np.zeros(1)
         position["value"] = np.pad(packing.positions, ((0, 0), (0, 1)))[None]
         particles["radius"] = packing.radii
         particles["species"] = np.unique(packing.radii, return_inverse=True)[1]
-        box = particles.create_group("box")
+        box = group(particles, "box")
         box.attrs.update(dimension=3, boundary=np.array([b"periodic", b"periodic", b"none"]))
-        box["edges/value"] = edges[None]
+        group(box, "edges")["value"] = edges[None]
         for name in ("step", "time"):  # hard links, as the standard demands
             box[f"edges/{name}"] = position[name]
-        ours = file.create_group(OURS)
+        ours = group(file, OURS)
         ours.attrs.update(
             schema=SCHEMA, potential=packing.potential_name, checksum=packing.checksum, units=UNITS
         )
         ours["provenance"] = json.dumps(dict(packing.provenance), default=lambda value: value.tolist())
         known = {k: v for k, v in asdict(packing.certificate).items() if v is not None}
-        ours.create_group("certificate").attrs.update(known)
+        group(ours, "certificate").attrs.update(known)
 
 
 def read(path: str | PathLike[str]) -> Packing:
@@ -113,10 +113,10 @@ def read(path: str | PathLike[str]) -> Packing:
 
 
 def _write_header(file: h5py.File) -> None:
-    header = file.create_group("h5md")
+    header = group(file, "h5md")
     header.attrs["version"] = (1, 1)
-    header.create_group("author").attrs["name"] = "unknown"
-    header.create_group("creator").attrs.update(name="petscjam", version=release("petscjam"))
+    group(header, "author").attrs["name"] = "unknown"
+    group(header, "creator").attrs.update(name="petscjam", version=release("petscjam"))
 
 
 def _read_certificate(ours: h5py.Group) -> Certificate:

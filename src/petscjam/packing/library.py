@@ -25,7 +25,6 @@ from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
 from petscjam.parallel.comm import on_root, resolve
-from petscjam.parallel.petsc import slepc
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming, open_h5, write_atomically
@@ -153,7 +152,6 @@ def prepare_library(
     """
     comm, folder, settings = resolve(comm), Path(folder), Recipe(**recipe)
     series = _planned(particles, pressures, seeds, settings, budget)
-    slepc()  # starts on all ranks or not at all
     missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
     todo = [s for s in series if any(name in missing for _, name in s.names())]
     threads = threads or threads_for([s.n for s in todo], comm)
@@ -249,9 +247,10 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
             if overwrite or not (resume and exists(folder / name, s.n, pressure, s.seed, recipe, before)):
                 check_output(folder / name, overwrite=overwrite)
                 missing.add(name)
-    for half in (file for name in missing for file in folder.glob(f".{name}.*.part")):
-        with suppress(OSError):
-            half.unlink()
+    for file in folder.glob(".*.part"):  # half-written by a run that was killed
+        if file.name[1:].rsplit(".", 2)[0] in {*missing, RECIPE, INDEX}:
+            with suppress(OSError):
+                file.unlink()
     if not library.recipe:
         text = json.dumps({"schema": SCHEMA, "units": "stiffness k = 1, mean diameter d = 1",
                            "recipe": asdict(recipe)}, indent=2)  # fmt: skip
@@ -330,7 +329,8 @@ def _read(folder: Path, recipe: Recipe | None = None) -> Library:
             row["seconds"] = _number(line["seconds"])
         rows.append(row)
     _check_units(folder, kinds)
-    return Library(folder, known, rows, [_failed(line) for line in logged.values() if line["failure"]])
+    failed = [_failed(line) for _, line in sorted(logged.items()) if line["failure"]]
+    return Library(folder, known, rows, [row for row in failed if row])
 
 
 def _recipe(file: Path) -> dict[str, Any]:
@@ -392,10 +392,13 @@ def _row(name: str, packing: Packing) -> dict[str, Any]:
 
 
 def _failed(line: Mapping[str, str]) -> dict[str, Any]:
-    return {
-        "file": line["file"], "particles": int(line["particles"]), "target": float(line["target"]),
-        "seed": int(line["seed"]), "seconds": _number(line["seconds"]), "failure": line["failure"],
-    }  # fmt: skip
+    try:
+        return {
+            "file": line["file"], "particles": int(line["particles"]), "target": float(line["target"]),
+            "seed": int(line["seed"]), "seconds": _number(line["seconds"]), "failure": line["failure"],
+        }  # fmt: skip
+    except ValueError:  # damaged
+        return {}
 
 
 def _number(text: str) -> float | None:

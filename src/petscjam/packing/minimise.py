@@ -169,9 +169,10 @@ class Enthalpy:
         if self.report is not None and self.evaluations // REPORT_EVERY > before // REPORT_EVERY:
             self.report(self, z)
         if self.evaluations >= self.budget:
+            aim = f"target {self.target}" if self.target else "at constant volume"
             raise SolverError(
                 f"minimise: not converged after {self.evaluations} force evaluations; the largest force is "
-                f"{self.force:.3g}, the pressure {self.pressure:.9g} (target {self.target})"
+                f"{self.force:.3g}, the pressure {self.pressure:.9g} ({aim})"
             )
 
     def refresh(self, z: Array) -> Array:

@@ -22,6 +22,7 @@ OPENBLAS_KERNELS = {
     "HASWELL": {"avx2", "fma"},
 }
 _options: list[str] = []
+_world: list[Any] = []
 
 
 def set_options(options: Sequence[str]) -> None:
@@ -29,9 +30,23 @@ def set_options(options: Sequence[str]) -> None:
     _options[:] = [*options, "-options_left"] if options else []
 
 
+def start(comm: Any) -> None:
+    """Start PETSc and SLEPc on all ranks of ``comm`` together: ``-log_view`` then reports on all of them.
+
+    Raises
+    ------
+    InputError
+        As :func:`slepc`.
+    """
+    _world[:] = [comm]
+    slepc()
+
+
 @cache
 def petsc() -> ModuleType:
-    """Return ``petsc4py.PETSc``, started.
+    """Return ``petsc4py.PETSc``, started: rank by rank, unless :func:`start` was called before.
+
+    So one rank may prepare a packing while the others wait for it. Every object has its own communicator.
 
     Raises
     ------
@@ -41,8 +56,9 @@ def petsc() -> ModuleType:
     _prepare_blas()
     try:
         import petsc4py
+        from mpi4py import MPI
 
-        petsc4py.init(["petscjam", *_options])
+        petsc4py.init(["petscjam", *_options], comm=_world[0] if _world else MPI.COMM_SELF)
         from petsc4py import PETSc
     except ImportError as error:
         raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None

@@ -1,0 +1,72 @@
+"""Settings of a verb in a TOML file, by the names of its options."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from petscjam.errors import InputError
+from petscjam.storage import naming
+
+
+def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
+    """Return the options that the file of ``--config`` stands for, to be put in front of ``argv``.
+
+    Left out are those that exclude one in ``argv``.
+
+    Parameters
+    ----------
+    argv : list of strings
+        The command line of the verb.
+    options : mapping
+        From option strings to actions of argparse.
+    exclusive : iterable
+        Groups of mutually exclusive options.
+    """
+    one = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    one.add_argument("--config")
+    try:
+        path = one.parse_known_args(argv)[0].config
+    except argparse.ArgumentError:  # no file is named: the parser of the verb complains
+        path = None
+    if path is None:
+        return []
+    with naming(path):
+        return _words(path, argv, options, exclusive)
+
+
+def _words(path: str, argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
+    with open(path, "rb") as file:
+        try:
+            content = tomllib.load(file)
+        except ValueError as error:
+            raise InputError(f"not TOML, name = value ({error})") from None
+    given = {word.split("=")[0] for word in argv}
+    excluded: set[str] = set()
+    for group in exclusive:
+        names = {name for action in group._group_actions for name in action.option_strings}
+        excluded |= names if names & given else set()
+    known = [name[2:].replace("-", "_") for name in options if name not in ("-h", "--help", "--config", "-o")]
+    words = []
+    for key, value in content.items():
+        option = f"--{key.replace('_', '-')}"
+        if key.replace("-", "_") not in known:
+            raise InputError(misspelt(key, known))
+        if option in excluded:
+            continue
+        if options[option].nargs != 0:
+            words.append(f"{option}={','.join(map(str, value)) if isinstance(value, list) else value}")
+        elif isinstance(value, bool):
+            words += [option] * value
+        else:
+            raise InputError(f"{key} must be true or false, not {value!r}")
+    return words
+
+
+def misspelt(option: str, known: list[str]) -> str:
+    """Say that ``option`` is unknown and what may have been meant."""
+    close = get_close_matches(option.split("=")[0], known, 1)
+    return f"unknown argument {option}" + (f"; did you mean {close[0]}?" if close else "")

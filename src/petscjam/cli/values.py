@@ -1,0 +1,81 @@
+"""Values of options: numbers, lists and ranges."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+MOST = 1_000_000  # seeds, or points of a range
+
+
+def number(text: str) -> float:
+    """Parse a finite number."""
+    import math
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def whole(text: str) -> list[int]:
+    """Parse ``A,B,…``."""
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a whole number nor a list A,B,…") from None
+
+
+def seeds(text: str) -> list[int]:
+    """Parse ``A:B``, both counted, or ``A,B,…``."""
+    if ":" not in text:
+        return whole(text)
+    try:
+        first, last = (int(part) for part in text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range A:B of whole numbers") from None
+    if last < first:
+        raise argparse.ArgumentTypeError(f"{text!r} is an empty range")
+    if last - first >= MOST:
+        raise argparse.ArgumentTypeError(f"{text!r} has more than {MOST} seeds")
+    return list(range(first, last + 1))
+
+
+def points(text: str) -> Any:
+    """Parse ``A:B:N`` (evenly in the logarithm, both ends counted) or ``A,B,…``, all above 0."""
+    import numpy as np
+
+    count: int | None = None
+    try:
+        if ":" in text:
+            *parts, last = text.split(":")
+            count = int(last)
+        else:
+            parts = text.split(",")
+        values = np.array([float(part) for part in parts])
+        if count is not None and len(values) != 2:
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:N nor a list A,B,…") from None
+    for value in values[~(np.isfinite(values) & (values > 0))]:
+        raise argparse.ArgumentTypeError(f"{value:g} is not above 0 and finite")
+    if count is None:
+        return values
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"the range {text} is empty")
+    if count > MOST:
+        raise argparse.ArgumentTypeError(f"the range {text} has more than {MOST} points")
+    if count == 1 and values[0] != values[1]:
+        raise argparse.ArgumentTypeError(f"the range {text} has two ends but one point")
+    return np.geomspace(values[0], values[1], count)
+
+
+def frequencies(text: str) -> Any:
+    """Parse :func:`points`; a range goes up."""
+    omega = points(text)
+    if ":" in text and omega[-1] < omega[0]:
+        raise argparse.ArgumentTypeError(f"the range {text} is empty")
+    return omega
