@@ -5,20 +5,24 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from petscjam.box import Box
 from petscjam.errors import InputError, SolverError
+from petscjam.io.importers import import_packing
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import certify, elastic_tensor, hessian, negative_modes
 from petscjam.packing.minimise import METHODS, Enthalpy
 from petscjam.packing.newton import newton
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import prepare_packing, relax_packing
+from petscjam.potential import POTENTIALS
 from petscjam.response.moduli import complex_modulus
 
+DATA = Path(__file__).parent / "data"
 P = 1e-3
 EPS = np.finfo(float).eps
 CASES = [
@@ -274,6 +278,34 @@ def test_constant_volume_keeps_the_cell():
     assert np.array_equal(relaxed.box.cell, packing.box.cell) and relaxed.certificate.proved
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("pressure", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+def test_proved_packings_have_no_negative_dense_eigenvalue(pressure, seed):
+    """The count by pivots and the lowest modes by Lanczos, against all eigenvalues of the dense matrix."""
+    packing = prepare_packing(128, pressure, seed)
+    dense = np.linalg.eigvalsh(hessian(ContactNetwork.of(packing)).toarray())
+    assert packing.certificate.proved
+    assert abs(dense[:2]).max() < 1e-13 < dense[2]
+    assert packing.certificate.lowest_eigenvalue == pytest.approx(dense[2], rel=1e-6)
+
+
+def test_a_packing_of_jambashbulk_is_proved_and_stays():
+    """It was stabilised against shear by another program: relaxing size and shape of the cell moves nothing."""
+    packing = import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
+    relaxed = relax_packing(packing, 1e-3, shear_stabilised=True)
+    assert certify(packing).certificate.proved and relaxed.certificate.proved
+    assert abs(relaxed.box.cell - packing.box.cell).max() < 1e-9
+    assert abs(packing.box.minimum_image(relaxed.positions - packing.positions)).max() < 1e-9
+
+
+@pytest.mark.parametrize("index", range(0, 10, 3))
+def test_packings_of_jaxmd_are_minima_at_their_volume(index):
+    packing = import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
+    relaxed = relax_packing(packing)
+    assert relaxed.certificate.proved
+    assert abs(packing.box.minimum_image(relaxed.positions - packing.positions)).max() < 1e-6
+
+
 def test_softest_shear_bounds_the_modulus_of_every_direction():
     """pj.complex_modulus of the packing, turned: its G0 is the modulus of simple shear along x."""
     packing = prepare_packing(64, 1e-2, seed=2)
@@ -322,14 +354,15 @@ def test_squeezed_disks_have_many_negative_modes():
     assert certify(random_disks(64, 3.0)).certificate.negative_modes > 20
 
 
-def test_hessian_is_the_derivative_of_the_force_to_second_order():
-    packing = prepare_packing(64, 0.1)
+@pytest.mark.parametrize("potential_name", POTENTIALS)
+def test_hessian_is_the_derivative_of_the_force_to_second_order(potential_name):
+    packing = prepare_packing(64, 0.1, potential_name=potential_name)
     network = ContactNetwork.of(packing)
     assert network.rattlers == 0
     u = np.random.default_rng(0).normal(size=(64, 2))
 
     def force(step):
-        moved = Packing(packing.positions + step * u, packing.radii, packing.box)
+        moved = replace(packing, positions=packing.positions + step * u)
         return ContactNetwork.of(moved).residual_force
 
     Ku = (hessian(network) @ u.ravel()).reshape(-1, 2)

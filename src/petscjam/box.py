@@ -125,7 +125,7 @@ class Box:
         ahead = (shift[:, 0] > 0) | ((shift[:, 0] == 0) & (shift[:, 1] > 0))
         keep = (i < j) | ((i == j) & ahead)
         i, j, shift = i[keep], j[keep], shift[keep]
-        r = x[j] - x[i] + shift @ lattice
+        r = np.asarray(positions)[j] - np.asarray(positions)[i] + (shift - shift0[j] + shift0[i]) @ lattice
         order = np.lexsort((r[:, 1], r[:, 0], j, i))
         return i[order], j[order], r[order]
 

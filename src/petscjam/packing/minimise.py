@@ -86,7 +86,7 @@ class Enthalpy:
         self.largest = 2 * float(packing.radii.max())
         self.skin = 0.3 * self.diameter
         self._threads = _use_threads(threads, len(packing))
-        self._true = np.empty_like(x)
+        self._true = np.empty(len(x), dtype=complex)
         self._built, self._built_at = np.empty(0), evaluations
 
     @property
@@ -178,7 +178,7 @@ class Enthalpy:
     def refresh(self, z: Array) -> Array:
         """Rebuild the neighbour list if a pair that is not on it may touch; return z when it was built.
 
-        The skin follows the motion: a list is to last for about a hundred gradients, and costs about twenty.
+        The skin follows the motion: a list is to last for a hundred gradients, and costs about ten.
         """
         from petscjam.packing.kernels import farthest, stale
 
@@ -188,7 +188,7 @@ class Enthalpy:
             if not stale(moved, z, self._built, n, self.cell, self.largest, self.skin):
                 return self._built
             age = self.evaluations - self._built_at
-            factor = 1.4 if age < 40 else 0.7 if age > 120 else 1.0
+            factor = 1.4 if age < 60 else 0.7 if age > 200 else 1.0
             self.skin = float(np.clip(factor * self.skin, 0.03 * self.diameter, 0.5 * self.diameter))
         self._built, self._built_at = z.copy(), self.evaluations
         self._build(*self.unpack(z))
@@ -204,7 +204,8 @@ class Enthalpy:
         in_cell = np.rint(box.reduced @ np.linalg.inv(box.cell))  # exactly the same lattice
         sigma = self.radii[i] + self.radii[j]
         k = self.packing.potential.spring_constant(sigma)
-        self.pairs = i, j, sigma, k, runs, images @ in_cell @ self.packing.box.cell
+        image = np.ascontiguousarray(images @ in_cell @ self.packing.box.cell).view(complex)[:, 0]
+        self.pairs = i, j, sigma, k, runs, image
         self._sums = np.zeros((len(runs), 4))
         overlap = self.packing.potential.stiffness(0.9 * sigma, sigma)
         self.stiffest = float(overlap.max(initial=1e-3))

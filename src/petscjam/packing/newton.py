@@ -137,7 +137,7 @@ def _contacts(h: Enthalpy, x: Array, F: Array) -> tuple[ContactNetwork, float]:
     unsigned_i, unsigned_j, sigma, _, runs, images = h.pairs
     i, j = unsigned_i.astype(int), unsigned_j.astype(int)
     r = x[j] - x[i]
-    r[runs[-1] :] += images
+    r[runs[-1] :] += images.view(float).reshape(-1, 2)
     r = r @ F.T
     touching = np.hypot(r[:, 0], r[:, 1]) < sigma
     i, j, r, sigma = i[touching], j[touching], r[touching], sigma[touching]

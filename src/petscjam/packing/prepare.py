@@ -185,7 +185,7 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
     The floor is what positions of double precision leave; half of it is out of reach for the worst of many
     disks.
     """
-    floor = 0.9 * rounding_force(ContactNetwork.of(h.at(z)))
+    floor = 0.8 * rounding_force(ContactNetwork.of(h.at(z)))
     error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
     return max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error
 
