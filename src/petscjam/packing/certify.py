@@ -8,13 +8,14 @@ Axes: i disk of the backbone, x Cartesian, s strain.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.box import Array
-from petscjam.errors import SolverError
+from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SIMPLE_SHEAR, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Certificate, Packing
@@ -90,6 +91,14 @@ def _zero(K: csc_array) -> float:
 
 
 def _count_below(K: csc_array, sigma: float) -> int:
+    """Count the eigenvalues below ``sigma``, or up to a fifth beside it where the factorisation fails."""
+    for factor in (1.0, 0.9, 1.1, 0.8):
+        with suppress(SolverError):
+            return _pivots_below(K, factor * sigma)
+    return _pivots_below(K, 1.2 * sigma)
+
+
+def _pivots_below(K: csc_array, sigma: float) -> int:
     """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester)."""
     from scipy.sparse import eye_array
     from scipy.sparse.linalg import splu
@@ -141,12 +150,12 @@ class Instability:
 
 
 def lowest_modes(
-    K: csc_array, count: int = EIGENVALUES, *, from_below: bool = False
+    K: csc_array, count: int = EIGENVALUES, *, shift: float | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return the lowest eigenvalues of K (2n, 2n), translations left out, with vectors and residuals.
+    """Return the eigenvalues of K (2n, 2n) nearest ``shift``, translations left out, vectors and residuals.
 
-    SLEPc's Krylov–Schur, with shift and invert (MUMPS LDLᵀ) a little below zero. That misses eigenvalues
-    far below zero; ``from_below`` iterates with K itself, slowly, and finds them first.
+    SLEPc's Krylov–Schur with shift and invert (MUMPS LDLᵀ). The shift is a little below zero, unless given;
+    below all eigenvalues, it makes the lowest come first.
 
     Returns
     -------
@@ -185,26 +194,22 @@ def lowest_modes(
         eps.setDeflationSpace(translations)
         eps.setDimensions(count)
         eps.setTolerances(1e-10, 10_000)
-        if from_below:
-            eps.setWhichEigenpairs(SLEPc.EPS.Which.SMALLEST_REAL)
-        else:
-            _shift_and_invert(eps, -1e-6 * float(np.median(rows.diagonal())))
+        shift = -1e-6 * float(np.median(rows.diagonal())) if shift is None else shift
+        eps.setTarget(shift)
+        eps.setWhichEigenpairs(eps.Which.TARGET_MAGNITUDE)
+        eps.getST().setType("sinvert")
+        ksp = eps.getST().getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("cholesky")
+        ksp.getPC().setFactorSolverType("mumps")
         eps.setFromOptions()
-        eps.solve()
+        try:
+            eps.solve()
+        except RuntimeError as error:  # PETSc's
+            raise SolverError(f"SLEPc failed: {error}") from error
         if eps.getConverged() < count:
             raise SolverError(f"SLEPc found {eps.getConverged()} of {count} modes (reason {eps.reason})")
         return _real_pairs(K, eps, count)
-
-
-def _shift_and_invert(eps: Any, shift: float) -> None:
-    eps.setTarget(shift)
-    eps.setWhichEigenpairs(eps.Which.TARGET_MAGNITUDE)
-    transform = eps.getST()
-    transform.setType("sinvert")
-    ksp = transform.getKSP()
-    ksp.setType("preonly")
-    ksp.getPC().setType("cholesky")
-    ksp.getPC().setFactorSolverType("mumps")
 
 
 def _real_pairs(K: csc_array, eps: Any, count: int) -> tuple[Array, Array, Array]:
@@ -272,14 +277,12 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
     max(1e-9·p, 4·ε·k·L/d) of the target, K with pre-stress on the backbone has no negative mode and none at
     zero but the translations, and its lowest eigenvalue exceeds ten times its residual. A packing that was
     stabilised against shear must also have an isotropic pressure tensor, to the same tolerance, and resist
-    shear in every direction.
+    shear in every direction. Where the modes cannot be computed, their number is None, and nothing is proved.
 
     Raises
     ------
     InputError
         If the packing is not jammed.
-    SolverError
-        If its modes cannot be computed.
     """
     return judge(packing, target_pressure)[0]
 
@@ -289,20 +292,19 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
     network = ContactNetwork.of(packing)
     K = hessian(network)
     pressure, diameter = network.pressure, packing.mean_diameter
+    if not pressure > 0:
+        raise InputError("packing: no contact bears a force; it is not jammed")
     floor = rounding_force(network)
     force = float(np.linalg.norm(network.residual_force, axis=1).max())
     anisotropy = float(abs(network.stress - pressure * np.eye(2)).max())
     miss = 0.0 if target_pressure is None else abs(pressure - target_pressure)
-    values, vectors, residuals = lowest_modes(K)
-    negative, zero = _count(network, K, values, residuals)
-    if negative and not (values < 0).any():
-        values, vectors, residuals = lowest_modes(K, from_below=True)
-    stabilised = bool(packing.provenance.get("shear_stabilised", False))
-    sound = negative == zero == 0
+    found = _modes(network, K)
+    stabilised = packing.provenance.get("shear_stabilised") is True
+    sound = found.negative == found.zero == 0
     shear, way_down = None, None
-    if negative:
-        way_down = Instability(_on_all(vectors[0].reshape(-1, 2), network), np.zeros((2, 2)))
-    elif zero == 0:
+    if found.negative:
+        way_down = Instability(_on_all(found.vectors[0].reshape(-1, 2), network), np.zeros((2, 2)))
+    elif sound:
         C, u = elastic_tensor(network)
         shear = softest_shear(C)
         if stabilised:
@@ -318,28 +320,49 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
         pressure=pressure,
         pressure_error=None if target_pressure is None else miss / target_pressure,
         stress_error=anisotropy / pressure,
-        negative_modes=negative,
-        zero_modes=zero,
-        eigenvalues=tuple(values.tolist()),
-        eigenvalue_error=float(residuals.max(initial=0.0)),
+        negative_modes=found.negative,
+        zero_modes=found.zero,
+        eigenvalues=tuple(found.values.tolist()),
+        eigenvalue_error=float(found.residuals.max(initial=0.0)),
         shear_modulus=shear,
         proved=bool(
             sound
             and force <= max(1e-10 * pressure * diameter, floor)
             and miss <= max(1e-9 * pressure, floor / diameter)
-            and (values > 10 * residuals).all()
+            and (found.values > 10 * found.residuals).all()
         ),
     )
     return replace(packing, certificate=certificate), way_down
 
 
-def _count(network: ContactNetwork, K: csc_array, values: Array, residuals: Array) -> tuple[int, int]:
-    """Count negative and zero modes. One factorisation does if the lowest eigenvalue is well above zero."""
-    if len(values) == 0:
-        return 0, 0
-    if values[0] > max(10 * residuals[0], 2 * _zero(K)) and _count_below(K, values[0] / 2) == 2:
-        return 0, 0  # nothing lies below λ₁/2 but the translations
-    return modes(network)
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """The lowest modes of K, and how many are negative and zero, translations left out; None: not known."""
+
+    values: Array
+    vectors: Array
+    residuals: Array
+    negative: int | None
+    zero: int | None
+
+
+def _modes(network: ContactNetwork, K: csc_array) -> _Modes:
+    """Find the lowest modes and count; one factorisation does where the lowest is well above zero."""
+    try:
+        values, vectors, residuals = lowest_modes(K)
+        if len(values) == 0:
+            return _Modes(values, vectors, residuals, 0, 0)
+        if values[0] > max(10 * residuals[0], 2 * _zero(K)) and _count_below(K, values[0] / 2) == 2:
+            return _Modes(values, vectors, residuals, 0, 0)  # below λ₁/2 lie the translations alone
+        negative, zero = modes(network)
+        if negative:
+            shift = -_zero(K)
+            while _count_below(K, shift) > 0:
+                shift *= 4
+            values, vectors, residuals = lowest_modes(K, shift=shift)
+    except SolverError:
+        return _Modes(np.empty(0), np.empty((0, K.shape[0])), np.empty(0), None, None)
+    return _Modes(values, vectors, residuals, negative, zero)
 
 
 def _softest_cell(C: Array, pressure: float) -> tuple[float, Array]:

@@ -266,7 +266,7 @@ def stale(moved, z, built, n, cell, largest, skin):
     F, F0 = deformation(z, n, cell), deformation(built, n, cell)
     ratio = np.linalg.svd(F @ np.linalg.inv(F0))[1][1]
     stretch = np.linalg.svd(F)[1][0]
-    return 2 * stretch * moved >= ratio * (largest + skin) - largest
+    return 2 * stretch * moved >= ratio * skin - max(1 - ratio, 0.0) * largest
 
 
 @njit(cache=True, fastmath=FAST)

@@ -40,7 +40,7 @@ class Enthalpy:
     shape : bool
         Whether both shears of the cell relax, too, and not only its size.
     threads : int
-        Matters from two times 4096 disks on, and only for the time it takes.
+        They matter beyond 4096 disks, and only for the time it takes.
     budget, evaluations : int
         Gradients that may be evaluated, and how many of them have been.
     report : callable
@@ -143,17 +143,19 @@ class Enthalpy:
         self.count(z, 1)
         return g
 
-    def downhill(self, displacement: Array, strain: Array) -> Array:
-        """Return the z of the lowest H along a motion of disks (N, 2) and cell (2, 2) from the start."""
+    def downhill(self, displacement: Array, strain: Array, step: float) -> Array:
+        """Return a z with a lower H on the line of a motion of disks (N, 2) and cell (2, 2) from the start.
+
+        The largest displacement is ``step``, halved until H falls up to there, else doubled while it does.
+        """
         on_cell = [np.sum(strain * E) / np.sum(E * E) for E in self.strains]
         d = np.append(displacement[self.order], self.weight * np.array(on_cell))
-        d *= self.diameter / np.abs(d).max()
-        g = self.gradient(self.start)
-        slope = float(g @ d)
-        if slope > 0:
-            d, slope = -d, -slope
-        step = 1e-3
-        while step < 0.1 and self.gradient(self.start + 2 * step * d) @ d < 0:
+        d /= np.abs(d).max()
+        if self.gradient(self.start) @ d > 0:
+            d = -d
+        while self.gradient(self.start + step * d) @ d >= 0 and step > 1e-9 * self.diameter:
+            step /= 2
+        while step < 0.1 * self.diameter and self.gradient(self.start + 2 * step * d) @ d < 0:
             step *= 2
         self.gradient(self.start + step * d)
         return self.start + step * d

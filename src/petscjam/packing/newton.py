@@ -26,19 +26,20 @@ def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) ->
     Newton's method is tried when no force exceeds ``closeness``·p·d; if in vain, again at a hundredth.
     """
     while True:
-        pressure = h.target or 0.0
-        nearer = (
-            max(goal[0], closeness * pressure * h.diameter),
-            max(goal[1], closeness * h.diameter),
-            max(goal[2], 10 * closeness * pressure),
-        )
-        z = METHODS[method](h, z, nearer)
+        nearer = near(h, closeness)
+        z = METHODS[method](h, z, (max(goal[0], nearer[0]), max(goal[1], nearer[1]), max(goal[2], nearer[2])))
         if h.reached(goal):
             return z
         z = newton(h, z, goal)
         if h.reached(goal):
             return z
         closeness = closeness / 100 if closeness > 1e-12 else 0.0
+
+
+def near(h: Enthalpy, closeness: float) -> Goal:
+    """Return the goal: no force exceeds ``closeness``·p·d, the stress errs by ten times as much at most."""
+    pressure = h.target or 0.0  # at constant volume: in units of the pressure there is
+    return closeness * pressure * h.diameter, closeness * h.diameter, 10 * closeness * pressure
 
 
 def first_closeness(n: int) -> float:
@@ -62,7 +63,7 @@ def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
     while not h.reached(goal) and vain < PATIENCE:
         try:
             d, overlap = _direction(h, z, g)
-        except SolverError:  # singular
+        except (SolverError, np.linalg.LinAlgError):  # singular
             break
         if not np.abs(d).max() < 0.1 * overlap:
             break

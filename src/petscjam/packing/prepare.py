@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from petscjam.box import Array, Box
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import Instability, judge, rounding_force
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
-from petscjam.packing.newton import descend, first_closeness
+from petscjam.packing.newton import descend, first_closeness, near
 from petscjam.packing.packing import Packing
 from petscjam.potential import POTENTIALS
 from petscjam.progress import Report
@@ -128,9 +128,12 @@ def relax_packing(
 
     It ends when no disk feels more than max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure
     tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target. Parameters and errors are those of
-    :func:`prepare_packing`; lower pressures of a series are reached by relaxing the packing before.
+    :func:`prepare_packing`; besides, disks that are not jammed at their volume are an InputError. Lower
+    pressures of a series are reached by relaxing the packing before.
     """
-    check_relaxation(len(packing), pressure, shear_stabilised, method, budget)
+    d, law = packing.mean_diameter, packing.potential
+    unit = float(law.spring_constant(np.array(d))) * d ** (law.exponent - 2)
+    check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
     return _relaxed(
         packing, pressure, shear_stabilised, method, threads, _LogBook(pressure, budget, progress)
     )
@@ -144,15 +147,23 @@ def _relaxed(
         "pressure": pressure, "shear_stabilised": stabilised, "method": method,
     }  # fmt: skip
     packing = replace(packing, provenance=made_by)
+    judged: Packing | None = None
     way_down: Instability | None = None
     for _ in range(ESCAPES):
-        packing = _minimum(packing, pressure, stabilised, method, threads, book, way_down)
-        packing, way_down = judge(packing, pressure)
-        if way_down is None or book.spent >= book.budget:
+        try:
+            packing = _minimum(packing, pressure, stabilised, method, threads, book, way_down)
+        except SolverError:
+            if judged is None:
+                raise
+            break  # the budget is spent: the last one balances its forces, but is not proved
+        judged, way_down = judge(packing, pressure)
+        if way_down is None:
             break
-    book.finish(packing)
+        packing = judged
+    assert judged is not None
+    book.finish(judged)
     made_by.update(evaluations=book.spent, history=book.history)
-    return replace(packing, provenance=made_by)
+    return replace(judged, provenance=made_by)
 
 
 def _minimum(
@@ -166,8 +177,11 @@ def _minimum(
     )  # fmt: skip
     z, closeness = h.start, first_closeness(len(packing))
     if way_down is not None:
-        z = h.downhill(way_down.displacement, way_down.strain)
+        network = ContactNetwork.of(packing)
+        overlap = (network.radii[network.i] + network.radii[network.j] - network.distance).mean()
+        z = h.downhill(way_down.displacement, way_down.strain, 0.1 * float(overlap))
         closeness = min(closeness, 1e-2 * h.force / (h.pressure * h.diameter))
+    z = METHODS[method](h, z, near(h, closeness))
     force, relative, error = _goal(h, z)
     z = descend(h, z, (4 * force, relative, error), closeness, method)
     book.close(h)
@@ -268,7 +282,7 @@ def _radii(
 ) -> Array:
     """Return radii, small disks first, of mean ½ for the nominal composition."""
     small = 0.5 / (composition + (1 - composition) * ratio)
-    radii = np.where(np.arange(n) < np.ceil(composition * n), small, ratio * small)
+    radii = np.where(np.arange(n) < np.ceil(composition * n - 1e-9), small, ratio * small)
     if polydispersity:
         spread = np.clip(random.standard_normal(n), -3, 3)
         radii *= 1 + polydispersity * spread
@@ -300,14 +314,21 @@ def check(n: int, pressure: float, seed: int, **others: Any) -> None:
     )  # fmt: skip
 
 
-def check_relaxation(n: int, pressure: float | None, stabilised: bool, method: str, budget: int) -> None:
-    """Raise the InputError that :func:`relax_packing` would raise on these arguments."""
+def check_relaxation(
+    n: int, pressure: float | None, stabilised: bool, method: str, budget: int, unit: float = 1.0
+) -> None:
+    """Raise the InputError that :func:`relax_packing` would raise on these arguments.
+
+    ``unit`` is the pressure k·d^(α − 2) of contacts whose overlap is d.
+    """
     if pressure is None:
         if stabilised:
             raise InputError("prepare: a packing stabilised against shear needs a target pressure")
-    elif not 0 < pressure < 0.5:
-        raise InputError(f"prepare: the pressure must be above 0 and below 0.5 (in k), not {pressure!r}")
-    elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5):
+    elif not 0 < pressure < 0.5 * unit:
+        raise InputError(
+            f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {pressure!r}"
+        )
+    elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5 * unit):
         raise InputError(
             f"prepare: at a pressure of {pressure!r} rounding leaves more than 1e-6 of the forces "
             f"between {n} disks; the lowest is {lowest:.1e}"
