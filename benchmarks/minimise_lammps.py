@@ -2,11 +2,12 @@
 
     python benchmarks/minimise_lammps.py [--modes] [N:PHI:SEED,SEED… …]
 
-At constant volume, on one core, the programs in turn. LAMMPS runs in an environment of its own, .venv-lammps,
-which the first call makes, by both of its methods, with three skins of its neighbour lists. petscjam runs as
-often, compiled beforehand; the fastest of equal runs counts. Its seconds include the first neighbour list;
-LAMMPS's are its loop time, without set-up. Where a run ends is judged by petscjam: residual force ‖F‖₂/√N,
-energy and, with --modes, negative modes. From one start they may end in different minima.
+At constant volume, on one core, the programs in turn, one run of each method, for LAMMPS with each of three
+skins of its neighbour lists. LAMMPS runs in an environment of its own, .venv-lammps, which the first call
+makes; petscjam is compiled beforehand. Its seconds include the first neighbour list; LAMMPS's are its loop
+time, without set-up. Means over the starts are compared, for LAMMPS that of its best method and skin. Where
+a run ends is judged by petscjam: residual force ‖F‖₂/√N, energy and, with --modes, negative modes. From one
+start they may end in different minima.
 """
 
 import argparse
@@ -145,13 +146,11 @@ def compare(n, phi, seeds, modes):
     """Minimise each start in every way, in turn; print all runs and what they come to."""
     seconds = {}
     for seed in seeds:
-        for skin in SKINS:
-            for method in METHODS:
-                for way in ((petscjam, method), (lammps, method, skin)):
-                    run = measure(way[0], way[1:], n, phi, seed, modes)
-                    each = seconds.setdefault(way, {})
-                    each[seed] = min(each.get(seed, run), run)
-    mean = {way: np.mean(list(each.values())) for way, each in seconds.items()}
+        for method in METHODS:
+            for way in ((petscjam, method), *((lammps, method, skin) for skin in SKINS)):
+                run = measure(way[0], way[1:], n, phi, seed, modes)
+                seconds.setdefault(way, []).append(run)
+    mean = {way: np.mean(runs) for way, runs in seconds.items()}
     best = min((way for way in mean if way[0] is lammps), key=mean.get)
     for way in (way for way in mean if way[0] is petscjam):
         print(f"N = {n}, φ = {phi}, mean over seeds: LAMMPS {' '.join(best[1:])} {mean[best]:.3f} s / "

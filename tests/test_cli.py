@@ -35,9 +35,8 @@ def refused(capfd, *arguments):
 def test_moduli_are_those_of_the_library(packing, tmp_path):
     out = tmp_path / "g.h5"
     assert main(["moduli", str(packing), "--omega", "1e-3:10:5", "--beta", "0.1", "-o", str(out)]) == 0
-    expected = pj.complex_modulus(
-        pj.Packing.read(packing), np.geomspace(1e-3, 10, 5), damping=pj.ContactDamping(0.1)
-    )
+    omega = [1e-3, 1e-2, 1e-1, 1.0, 10.0]
+    expected = pj.complex_modulus(pj.Packing.read(packing), omega, damping=pj.ContactDamping(0.1))
     assert (pj.read_modulus(out).values == expected.values).all()
 
 
@@ -206,6 +205,12 @@ def test_disk_full(packing, tmp_path, environment):
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([out.name, packing.name])
 
 
+def test_ranges_share_their_points():
+    from petscjam.cli.values import points
+
+    assert set(points("1e-2:1e-3:4")) < set(points("1e-1:1e-3:7"))
+
+
 def test_prepare_many_seeds_and_resume(tmp_path):
     folder = tmp_path / "library"
     arguments = ["prepare", "--particles", "32", "--pressure", "1e-2", "--seeds", "1:2", "-o", str(folder)]
@@ -253,6 +258,24 @@ def test_info_says_what_was_certified(tmp_path, capsys):
         f"{certificate.lowest_eigenvalue:.6g} ±", "UNSTABLE against shear",
     ):  # fmt: skip
         assert said in text, said
+
+
+def test_info_shows_the_measured_pressure_whatever_the_origin_says(packing, tmp_path, capsys):
+    """A packing relaxed at constant volume has no target; a foreign file may say anything."""
+    p = pj.relax_packing(pj.Packing.read(packing))
+    said = {**p.provenance, "checksum": "fake", "proved minimum": "no", "disks": "1\npressure 7"}
+    pj.Packing(p.positions, p.radii, p.box, certificate=p.certificate, provenance=said).write(
+        tmp_path / "relaxed.h5"
+    )
+    capsys.readouterr()
+    main(["info", str(tmp_path / "relaxed.h5")])
+    measured, made_with = capsys.readouterr().out.split("\nmade with\n")
+    lines = {line[:18].rstrip(): line[19:] for line in measured.splitlines()}
+    assert float(lines["pressure"].split()[0]) == pytest.approx(1e-3, rel=1e-6)
+    assert lines["checksum"] == p.checksum
+    assert lines["proved minimum"] == "yes"
+    assert "  target pressure  None\n" in made_with
+    assert "  disks            1 pressure 7" in made_with.splitlines()
 
 
 def test_an_imported_packing_is_judged(packing, capsys):

@@ -76,7 +76,7 @@ def test_gsd_index_picks_the_frame(frames):
 
 def test_gsd_provenance_states_the_precision(frames):
     assert import_packing(frames({})).provenance == {
-        "source": "p.gsd", "format": "GSD", "index": 0, "step": 0, "precision": "float32",
+        "source": "p.gsd", "format": "GSD", "index": 0, "precision": "float32", "header": {"step": 0},
     }  # fmt: skip
 
 
@@ -285,8 +285,8 @@ def test_lammps_data_in_a_rectangle_without_images(lammps):
 
 
 def test_lammps_provenance(lammps):
-    assert import_packing(lammps(LAMMPS_DUMP), 1).provenance["timestep"] == "200"
-    assert import_packing(lammps(LAMMPS_DATA)).provenance["title"].endswith("timestep = 7")
+    assert import_packing(lammps(LAMMPS_DUMP), 1).provenance["header"]["timestep"] == "200"
+    assert import_packing(lammps(LAMMPS_DATA)).provenance["header"]["title"].endswith("timestep = 7")
 
 
 @pytest.mark.parametrize(
@@ -379,6 +379,21 @@ def test_potential_of_xyz_can_be_chosen_where_the_file_says_none(packing, tmp_pa
     path.write_text(path.read_text().replace("potential=harmonic ", ""))
     refuses(path, "potential is missing")
     assert import_packing(path, potential_name="harmonic-relative").potential_name == "harmonic-relative"
+
+
+def test_what_a_foreign_header_says_stays_in_the_header(packing, tmp_path):
+    path = tmp_path / "p.xyz"
+    export_packing(packing, path)
+    said = "pressure=0.001 shear_stabilised=False program=petscjam source=elsewhere"
+    path.write_text(path.read_text().replace(" source_checksum=", f" {said} source_checksum="))
+    provenance = import_packing(path).provenance
+    assert {key: provenance[key] for key in provenance if key != "header"} == {
+        "source": "p.xyz", "format": "extended XYZ",
+    }  # fmt: skip
+    assert provenance["header"] == {
+        "pressure": "0.001", "shear_stabilised": "False", "program": "petscjam", "source": "elsewhere",
+        "source_checksum": packing.checksum,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("write", [None, Packing.write, export_packing])

@@ -167,8 +167,8 @@ def test_jambash_pressure(packing):
 
 def test_jambash_provenance(packing):
     assert packing.provenance["source"] == JAMBASH.name
-    assert packing.provenance["seed"] == "0"
-    assert packing.provenance["commit"] == "85670c21403a4f54092b9da783e3a906d5e2f869"
+    assert packing.provenance["header"]["seed"] == "0"
+    assert packing.provenance["header"]["commit"] == "85670c21403a4f54092b9da783e3a906d5e2f869"
 
 
 def test_jambash_file_of_several_packings(tmp_path, packing):

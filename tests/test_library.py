@@ -15,9 +15,9 @@ import pytest
 import petscjam as pj
 import petscjam.plots
 from petscjam.cli import main
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 from petscjam.packing.library import INDEX, RECIPE, threads_for
-from petscjam.parallel.teams import teams
+from petscjam.parallel.teams import cores_each, teams
 from petscjam.report import describe_library
 
 SMALL = dict(particles=[8, 16], pressures=[1e-2, 1e-3], seeds=[1, 2])
@@ -79,11 +79,22 @@ def test_a_team_of_nobody_is_refused(comm):
 
 
 @pytest.mark.parallel(nprocs=[1, 2])
-def test_threads_are_for_few_large_packings(comm):
-    cores = len(os.sched_getaffinity(0))
-    assert threads_for([20_000], comm) == max(1, cores // comm.size)
+def test_threads_are_for_few_large_packings(comm, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3})
+    assert threads_for([20_000], comm) == {1: 4, 2: 2}[comm.size]
     assert threads_for([20_000] * (comm.size + 1), comm) == 1
     assert threads_for([64], comm) == 1
+
+
+@pytest.mark.parallel(nprocs=2)
+@pytest.mark.parametrize(
+    ("affinities", "each"),
+    [([{0, 1, 2, 3}] * 2, 2), ([{0, 1}, {2, 3}], 2), ([{0}, {1}], 1), ([{5}, {5}], 1), ([{0, 1}, {1, 2}], 1)],
+)
+def test_the_cores_of_a_rank(comm, monkeypatch, affinities, each):
+    """Whether the ranks may run anywhere or are bound."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: affinities[comm.rank])
+    assert cores_each(comm) == each
 
 
 # --- what a library holds ---------------------------------------------------------------------------------
@@ -133,6 +144,28 @@ def test_rows_are_what_the_packings_say(folder):
             assert row[name] == getattr(certificate, name), name
         assert (row["phi"], row["checksum"]) == (packing.phi, packing.checksum)
         assert row["seconds"] > 0
+
+
+def test_rows_of_packings_from_elsewhere(folder, capsys):
+    """One that is not jammed is not judged; a target, or a seed, is a number or none."""
+    given = pj.Packing.read(folder / "N16_p0.01_s0001.h5")
+    said = {"pressure": "0.001", "seed": "7", "program": "other"}
+    loose = pj.Packing(2 * given.positions, given.radii, pj.Box(2 * given.box.cell), provenance=said)
+    loose.write(folder / "loose.h5")
+    row = pj.read_library(folder).rows[-1]
+    assert (row["file"], row["target"], row["seed"]) == ("loose.h5", None, None)
+    assert (row["potential"], row["pressure"], row["contacts"], row["proved"]) == ("harmonic", 0, 0, None)
+    assert main(["info", str(folder)]) == 0
+    assert "3 proved minima, 0 not proved, 1 not judged" in capsys.readouterr().out
+    assert main(["plot", str(folder)]) == 0
+    pj.prepare_library(folder, [16], [1e-2], [1, 2, 3, 4], resume=True)
+    assert len(pj.read_library(folder).rows) == 5
+
+
+def test_disks_on_one_point_are_named(folder):
+    pj.Packing([[1, 1], [1, 1]], [0.5, 0.5], pj.Box.square(4.0)).write(folder / "z.h5")
+    with pytest.raises(InputError, match=f"^{folder}/z.h5: .*same point"):
+        pj.read_library(folder)
 
 
 def test_files_keep_no_time(folder, tmp_path):
@@ -203,6 +236,16 @@ def test_a_family_cannot_get_a_pressure_in_between(tmp_path):
         pj.prepare_library(tmp_path / "lib", [16], [1e-1, 5e-2, 1e-2], [3], decompress=True, resume=True)
 
 
+@pytest.mark.parametrize("decompress", [False, True])
+def test_a_larger_range_extends_a_library(tmp_path, decompress):
+    """Pressures differ by rounding, and are the same."""
+    folder, series = tmp_path / "lib", dict(particles=[8], seeds=[1], decompress=decompress)
+    pj.prepare_library(folder, pressures=np.geomspace(1e-1, 1e-2, 4), **series)
+    more = np.geomspace(1e-1, 1e-3, 7) * (1 + 1e-15)
+    library = pj.prepare_library(folder, pressures=more, **series, resume=True)
+    assert (len(library.tried), len(library.rows)) == (3, 7)
+
+
 def test_leftovers_of_a_killed_run_are_cleared(folder):
     (folder / "N16_p0.01_s0001.h5").rename(folder / ".N16_p0.01_s0001.h5.123.part")
     pj.prepare_library(folder, [16], [1e-2], [1, 2, 3], resume=True)
@@ -221,7 +264,7 @@ def torn(index):
 
 
 def foreign(index):
-    index.write_text(index.read_text() + "\0\0,not,a line\nN16_p9_s0001.h5," + 14 * "x," + "bad\n")
+    index.write_text(index.read_text() + "\0\0,not,a line\nN16_p9_s0001.h5," + 15 * "x," + "bad\n")
 
 
 def another(index):
@@ -344,6 +387,59 @@ def test_a_family_ends_where_it_fails(tmp_path):
     assert "N16_p0.0001_s0001.h5, to start from, failed" in [row["failure"] for row in library.failed]
 
 
+def test_a_family_goes_on_from_what_is_there(tmp_path, monkeypatch):
+    pressures = [1e-1, 1e-2, 1e-3, 1e-4]
+    folder, series = tmp_path / "lib", dict(particles=[16], seeds=[3], decompress=True, resume=True)
+    pj.prepare_library(folder, pressures=pressures[:3], **series)
+    (folder / "N16_p0.01_s0003.h5").unlink()
+
+    def relax(packing, pressure, **options):
+        if pressure == 1e-2:
+            raise SolverError("injected")
+        return pj.relax_packing(packing, pressure, **options)
+
+    monkeypatch.setattr("petscjam.packing.library.relax_packing", relax)
+    library = pj.prepare_library(folder, pressures=pressures, **series)
+    assert [(row["target"], row["failure"]) for row in library.failed] == [(1e-2, "injected")]
+    assert [row["target"] for row in library.rows] == [1e-4, 1e-3, 1e-1]
+
+
+@pytest.mark.parallel(nprocs=[1, 2])
+def test_any_exception_in_making_a_packing_is_a_failure(comm, shared, monkeypatch):
+    def prepare(n, pressure, seed, **options):
+        if seed == 2:
+            raise ZeroDivisionError("injected")
+        return pj.prepare_packing(n, pressure, seed, **options)
+
+    monkeypatch.setattr("petscjam.packing.library.prepare_packing", prepare)
+    library = pj.prepare_library(shared / "lib", [16], [1e-2], [1, 2, 3], comm=comm)
+    assert [row["failure"] for row in library.failed] == ["ZeroDivisionError: injected"]
+    assert len(library.rows) == 2
+
+
+@pytest.mark.parallel(nprocs=2)
+@pytest.mark.parametrize("what", ["petscjam.packing.library._append", "petscjam.Packing.write"])
+@pytest.mark.parametrize(("error", "elsewhere"), [(InputError, InputError), (MemoryError, RuntimeError)])
+def test_a_file_that_one_rank_cannot_write_ends_all(comm, shared, monkeypatch, what, error, elsewhere):
+    def full(*arguments, **options):
+        raise error("disk full")
+
+    if comm.rank == 1:
+        monkeypatch.setattr(what, full)
+    with pytest.raises(error if comm.rank == 1 else elsewhere, match="disk full"):
+        pj.prepare_library(shared / "lib", **SMALL, comm=comm)
+
+
+def test_a_packing_that_is_not_there_has_failed(tmp_path, monkeypatch, capfd):
+    """Whether or not its line got into the index."""
+    monkeypatch.setattr("petscjam.packing.library._append", lambda *arguments: None)
+    arguments = ["prepare", "--particles", "16", "--pressure", "1e-1,1e-4", "--budget", "400"]
+    assert main([*arguments, "-o", str(tmp_path / "lib")]) == 1
+    printed = capfd.readouterr()
+    assert "1 prepared, 0 there already, 1 failed" in printed.out
+    assert "N16_p0.0001_s0001.h5: unknown" in printed.err
+
+
 def test_failures_are_listed_and_the_status_is_1(tmp_path, capfd):
     out = tmp_path / "lib"
     arguments = ["prepare", "--particles", "16", "--pressure", "1e-1,1e-4", "--budget", "400", "-o", str(out)]
@@ -366,7 +462,7 @@ def test_sizes_pressures_and_seeds_on_the_command_line(tmp_path):
     assert main(["prepare", *arguments, "--shear-stabilised", "-o", str(out)]) == 0
     library = pj.read_library(out)
     assert {(row["particles"], row["target"], row["seed"]) for row in library.rows} == {
-        (n, p, seed) for n in (8, 10) for p in np.geomspace(1e-1, 1e-3, 3) for seed in (4, 5)
+        (n, p, seed) for n in (8, 10) for p in (1e-1, 1e-2, 1e-3) for seed in (4, 5)
     }
     assert (library.recipe["method"], library.recipe["shear_stabilised"]) == ("cg", True)
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import petscjam as pj
 from petscjam.plots import fit_phi_J, fit_power, plot_library, plot_packing
-from petscjam.plots.library import _draw_curves, _draw_lowest, _sizes, _summary
+from petscjam.plots.library import _draw_curves, _draw_density, _draw_excess, _draw_lowest, _sizes, _summary
 from petscjam.plots.packing import _draw_packing, _images
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -29,8 +29,8 @@ def packing():
 def row(n=64, p=1e-3, **others):
     """A packing with two contacts more than it needs."""
     return {
-        "particles": n, "pressure": p, "target": p, "phi": 0.84 + 2 * p, "Z": 4 + 2 / n, "rattlers": 0,
-        "contacts": 2 * n + 1, "lowest_eigenvalue": 1e-3, "proved": True,
+        "particles": n, "pressure": p, "target": p, "potential": "harmonic", "phi": 0.84 + 2 * p,
+        "Z": 4 + 2 / n, "rattlers": 0, "contacts": 2 * n + 1, "lowest_eigenvalue": 1e-3, "proved": True,
     } | others  # fmt: skip
 
 
@@ -233,7 +233,7 @@ def test_a_library_of_packings(tmp_path):
 
 @pytest.mark.parametrize("change", [
     {}, {"lowest_eigenvalue": None}, {"lowest_eigenvalue": -1e-3}, {"proved": False}, {"target": None},
-    {"contacts": 127}, {"contacts": 0, "rattlers": 64},
+    {"contacts": 127},
 ])  # fmt: skip
 def test_a_library_of_one_packing(tmp_path, change, recwarn):
     plot_library([row(**change)], tmp_path / "one.png")
@@ -277,8 +277,54 @@ def test_the_title_counts_verdicts():
     )
 
 
+def test_packings_that_are_not_jammed_are_counted_and_not_drawn(tmp_path):
+    rows = [row(), row(p=0.0, target=None, proved=None), row(contacts=0, rattlers=64, proved=None)]
+    plot_library(rows, tmp_path / "loose.png")
+    (size,) = _sizes(rows)
+    assert size.p.tolist() == [1e-3]
+    assert _summary(rows) == "3 packings: 1 proved, 2 not judged; 2 not jammed, not drawn"
+
+
+def legend(draw, rows, a):
+    axes = Figure().subplots()
+    draw(axes, _sizes(rows), lambda p: np.zeros((*np.shape(p), 4)), a)
+    entries = axes.get_legend().get_texts()
+    return [[text.get_text() for text in texts] for texts in (entries, axes.texts)]
+
+
+@pytest.mark.parametrize(("a", "slopes"), [(1.0, ("1", "1/2")), (2 / 3, ("2/3", "1/3"))])
+def test_the_laws_follow_the_potential(a, slopes):
+    """Rows that obey φ − 0.84 ~ p^a and Z − Z_iso ~ p^(a/2) exactly."""
+    rows = []
+    for overlap in (1e-4, 1e-3, 1e-2):
+        p = overlap ** (1 / a)
+        contacts = 2 * 1024 - 1 + 1024 * overlap**0.5
+        rows += [row(1024, p, phi=0.84 + 2 * overlap, contacts=contacts)] * 2
+    entries, guides = legend(_draw_density, rows, a)
+    assert float(entries[0].split("$ = ")[1].split()[0]) == pytest.approx(0.84)
+    assert guides == [f"slope {slopes[0]}"]
+    entries, guides = legend(_draw_excess, rows, a)
+    assert float(entries[1].split()[1]) == pytest.approx(a / 2, abs=1e-4)
+    assert guides == [f"slope {slopes[1]}"]
+
+
+def test_the_exponent_is_that_of_the_potential(monkeypatch, tmp_path):
+    found = []
+    monkeypatch.setattr("petscjam.plots.library._draw_density", lambda *given: found.append(given[-1]))
+    for name in ("harmonic", "hertzian-relative"):
+        plot_library([row(potential=name)], tmp_path / f"{name}.png")
+    assert found == pytest.approx([1, 2 / 3])
+
+
+def test_sizes_of_one_pressure_are_named_where_others_have_a_phi_J():
+    entries, _ = legend(_draw_density, [row(), row(p=1e-2), row(n=128)], 1.0)
+    assert r"N = 128 not drawn: fewer than two pressures, no $\phi_J$" in entries
+
+
 @pytest.mark.parametrize(("rows", "message"), [
-    ([], "no packings"), ([{"phi": 1.0}], "packing 0 lacks particles"), ([row(), row(p=0.0)], "packing 1"),
+    ([], "no packings"), ([{"phi": 1.0}], "packing 0 lacks potential, particles"),
+    ([row(p=0.0)], "no packing is jammed"), ([row(contacts=0, rattlers=64)], "no packing is jammed"),
+    ([row(), row(potential="hertzian")], "harmonic, hertzian"),
 ])  # fmt: skip
 def test_rows_that_make_no_library(tmp_path, rows, message):
     with pytest.raises(pj.InputError, match=message):

@@ -13,7 +13,7 @@ from petscjam.response.result import ComplexModulus
 
 
 def describe_packing(packing: Packing) -> str:
-    """Return a few lines on ``packing``: geometry, contacts, certificate, provenance."""
+    """Return a few lines on ``packing``: geometry, contacts, certificate; then provenance, indented."""
     network, c = ContactNetwork.of(packing), packing.certificate
     cell = "; ".join(" ".join(f"{x:.8g}" for x in vector) for vector in packing.box.cell)
     lines = {
@@ -43,9 +43,15 @@ def describe_packing(packing: Packing) -> str:
     if c.shear_modulus is not None:
         flag = ": UNSTABLE against shear" * (c.shear_modulus < 0)
         lines["shear modulus"] = f"{c.shear_modulus:.6g} k, softest direction{flag}"
+    text = [f"{key:18s} {value}" for key, value in lines.items()]
+    if packing.provenance:
+        text.append("made with")
     for key, value in packing.provenance.items():
-        lines[key] = f"{len(value['phi'])} points" if key == "history" else value
-    return "\n".join(f"{key:18s} {value}" for key, value in lines.items())
+        name = "target pressure" if key == "pressure" else key
+        if key == "history" and isinstance(value, Mapping):
+            value = f"{len(value.get('evaluations', []))} points"
+        text.append(f"  {name:16s} {' '.join(str(value).split())}")
+    return "\n".join(text)
 
 
 def describe_library(library: Library) -> str:

@@ -70,7 +70,8 @@ def points(text: str) -> Any:
         raise argparse.ArgumentTypeError(f"the range {text} has more than {MOST} points")
     if count == 1 and values[0] != values[1]:
         raise argparse.ArgumentTypeError(f"the range {text} has two ends but one point")
-    return np.geomspace(values[0], values[1], count)
+    # Rounded: the points that two ranges share are the same numbers.
+    return np.array([float(f"{x:.12g}") for x in np.geomspace(values[0], values[1], count)])
 
 
 def frequencies(text: str) -> Any:

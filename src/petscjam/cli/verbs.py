@@ -45,14 +45,16 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
             overwrite=options.overwrite, threads=options.threads, budget=options.budget, progress=report,
             **vars(recipe),
         )  # fmt: skip
-    failed = [row for row in library.failed if row["file"] in library.tried]
+    made = {row["file"] for row in library.rows}
+    reasons = {row["file"]: row["failure"] for row in library.failed}
+    failed = sorted(library.tried - made)
     there = len(options.particles) * len(options.pressure) * len(seeds) - len(library.tried)
     proved = sum(row["proved"] is True for row in library.rows)
     say(comm, f"{len(library.tried) - len(failed)} prepared, {there} there already, {len(failed)} failed: "
               f"{options.output} ({proved} of {len(library.rows)} proved minima)")  # fmt: skip
     if failed:
-        reasons = "".join(f"\n  {row['file']}: {row['failure']}" for row in failed)
-        raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{reasons}")
+        lines = "".join(f"\n  {file}: {reasons.get(file, 'unknown')}" for file in failed)
+        raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{lines}")
 
 
 def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Any) -> None:

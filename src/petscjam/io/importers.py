@@ -51,7 +51,7 @@ def import_packing(path: str | PathLike[str], index: int = 0, potential_name: st
     -------
     Packing
         In the length unit of the file. Except for our own files, the provenance holds the name of the
-        file, the format, and what its header says about its origin.
+        file, the format and, as ``header``, what its header says about its origin.
 
     Raises
     ------
@@ -107,19 +107,19 @@ def read_jambashbulk(path: Path, index: int, chosen: str | None) -> Packing:
             at = min(at, len(lines))
             raise InputError(f"line {at + 1}: expected '{brace}': N = {count} rows in braces")
     x, y, radii = _table(lines[: n + 2 + count], n + 2, 3, [0, 1, 2]).T
-    origin = {"source": path.name, "format": "jamBashBulk text", "index": index}
+    origin: dict[str, Any] = {"source": path.name, "format": "jamBashBulk text", "index": index, "header": {}}
     said = "\n".join([*lines[: headers[0]], lines[n]])
     patterns = {"commit": r"commit (\w+)", "seed": r"srand\((\d+)\)", "P": r"P = (\S+)", "P0": r"P0= (\S+)"}
     for key, pattern in patterns.items():
         if found := re.search(pattern, said):
-            origin[key] = found[1]
+            origin["header"][key] = found[1]
     return Packing(np.stack([x, y], axis=1), radii, Box(cell), "harmonic", provenance=origin)
 
 
 def read_xyz(path: Path, index: int, chosen: str | None) -> Packing:
     """Read extended XYZ: one frame in the plane, with a column ``radius`` and ``potential=…``.
 
-    What else the comment line says goes to the provenance.
+    What else the comment line says is the ``header`` of the provenance.
     """
     _check_index(index, 1)
     lines = _lines(path)
@@ -145,7 +145,7 @@ def read_xyz(path: Path, index: int, chosen: str | None) -> Packing:
     if not entries.pop("pbc", "T T F").startswith("T T"):
         raise InputError('line 2: a packing is periodic along both lattice vectors: pbc="T T F"')
     law = entries.pop("potential")
-    origin = {**entries, "source": path.name, "format": "extended XYZ"}
+    origin = {"source": path.name, "format": "extended XYZ", "header": entries}
     cell = np.array([lattice[:2], lattice[3:5]])
     return Packing(np.stack([x, y], axis=1), radii, Box(cell), law, provenance=origin)
 
@@ -170,8 +170,8 @@ def read_gsd(path: Path, index: int, chosen: str | None) -> Packing:
             "write the diameters to the file"
         )
     width, height, _, tilt, _, _ = np.asarray(frame.configuration.box, dtype=float)
-    origin = {"source": path.name, "format": "GSD", "index": index, "step": int(frame.configuration.step)}
-    origin["precision"] = str(x.dtype)
+    origin = {"source": path.name, "format": "GSD", "index": index, "precision": str(x.dtype)}
+    origin["header"] = {"step": int(frame.configuration.step)}
     radii = disks.diameter.astype(float) / 2
     cell = np.array([[width, 0], [tilt * height, height]])
     return Packing(np.stack([x, y], axis=1), radii, Box(cell), chosen or "harmonic", provenance=origin)
@@ -224,7 +224,7 @@ def read_lammps_data(path: Path, index: int, chosen: str | None) -> Packing:
         (xlo, xhi), (ylo, yhi) = header("xlo xhi", 2), header("ylo yhi", 2)
         xy, _, _ = header("xy xz yz", 3, [0, 0, 0])
         cell = np.array([[xhi - xlo, 0], [xy, yhi - ylo]])
-    origin = {"source": path.name, "format": "LAMMPS data", "title": said[0]}
+    origin = {"source": path.name, "format": "LAMMPS data", "header": {"title": said[0]}}
     return Packing(np.stack([x, y], axis=1), diameter / 2, Box(cell), chosen or "harmonic", provenance=origin)
 
 
@@ -273,7 +273,8 @@ def read_lammps_dump(path: Path, index: int, chosen: str | None) -> Packing:
     _check_plane(table[:, 4:])
     if kind in ("s", "su"):
         positions = positions @ cell + corner
-    origin = {"source": path.name, "format": "LAMMPS dump", "index": index, "timestep": lines[start + 1]}
+    origin = {"source": path.name, "format": "LAMMPS dump", "index": index}
+    origin["header"] = {"timestep": lines[start + 1]}
     return Packing(positions, radii, Box(cell), chosen or "harmonic", provenance=origin)
 
 

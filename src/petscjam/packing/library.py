@@ -24,7 +24,7 @@ from petscjam.network import ContactNetwork
 from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
-from petscjam.parallel.comm import on_root, resolve
+from petscjam.parallel.comm import on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming, open_h5, write_atomically
@@ -32,7 +32,7 @@ from petscjam.storage import check_output, naming, open_h5, write_atomically
 SCHEMA = 1
 RECIPE, INDEX = "library.json", "index.csv"
 COLUMNS = (
-    "file", "particles", "target", "seed", "phi", "pressure", "Z", "rattlers", "contacts",
+    "file", "particles", "target", "seed", "potential", "phi", "pressure", "Z", "rattlers", "contacts",
     "lowest_eigenvalue", "shear_modulus", "max_force", "proved", "checksum", "seconds", "failure",
 )  # fmt: skip
 WORTH_THREADS = 10_000  # disks
@@ -73,9 +73,10 @@ class Library:
     recipe : mapping
         Settings by name; empty if the folder was not made by :func:`prepare_library`.
     rows : list of dicts
-        For each packing: ``file``, ``particles``, ``target`` (pressure asked for), ``seed``, ``phi``,
-        ``pressure``, ``Z``, ``rattlers``, ``contacts``, ``lowest_eigenvalue``, ``shear_modulus`` (over all
-        directions the lowest), ``max_force``, ``proved``, ``checksum``, ``seconds``; None: not known.
+        For each packing: ``file``, ``particles``, ``target`` (pressure asked for), ``seed``, ``potential``,
+        ``phi``, ``pressure``, ``Z``, ``rattlers``, ``contacts``, ``lowest_eigenvalue``, ``shear_modulus``
+        (over all directions the lowest), ``max_force``, ``proved``, ``checksum``, ``seconds``; None: not
+        known.
     failed : list of dicts
         For each packing that could not be made: ``file``, ``particles``, ``target``, ``seed``,
         ``seconds``, ``failure``, the reason.
@@ -124,7 +125,7 @@ def prepare_library(
 ) -> Library:
     """Prepare a packing of every size, pressure and seed in ``folder``, and return what it then holds.
 
-    They are dealt to the ranks, and do not depend on how many there are. One that fails does not stop the
+    Each is made by one rank, and does not depend on how many there are. One that fails does not stop the
     others; it is among ``failed`` of the library, and tried again on ``resume``.
 
     Parameters
@@ -132,7 +133,7 @@ def prepare_library(
     folder : path
         Made if it does not exist. Packings that lie there already must be of the same recipe.
     particles, pressures, seeds : iterables
-        As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`.
+        As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`; of a pressure twelve digits count.
     comm : communicator
     resume : bool
         Leave alone what exists; else an error, unless ``overwrite``.
@@ -148,7 +149,7 @@ def prepare_library(
     Raises
     ------
     InputError
-        On an argument out of range, if a packing exists, or is of another recipe.
+        On an argument out of range, if a packing exists, or is of another recipe, or cannot be written.
     """
     comm, folder, settings = resolve(comm), Path(folder), Recipe(**recipe)
     series = _planned(particles, pressures, seeds, settings, budget)
@@ -159,14 +160,18 @@ def prepare_library(
     def work(s: _Series) -> float:
         return sum(s.cost(pressure) for pressure, name in s.names() if name in missing)
 
+    error: Exception | None = None
     with teams(comm) as team:
         mine = team.deal(todo, work)
         done, everything = 0.0, sum(map(work, mine))
-        for s in mine:
-            report = _share(progress, done / everything, work(s) / everything)
-            _make(folder, s, settings, missing, report, threads=threads, budget=budget)
-            done += work(s)
-    comm.Barrier()
+        try:
+            for s in mine:
+                report = _share(progress, done / everything, work(s) / everything)
+                _make(folder, s, settings, missing, report, threads=threads, budget=budget)
+                done += work(s)
+        except Exception as caught:  # a full disk, for instance: this rank's alone
+            error = caught
+    raise_together(comm, error)
     return replace(on_root(comm, read_library, folder), tried=frozenset(missing))
 
 
@@ -215,7 +220,7 @@ def exists(
 def _planned(
     particles: Iterable[int], pressures: Iterable[float], seeds: Iterable[int], recipe: Recipe, budget: int
 ) -> list[_Series]:
-    pressures = sorted(map(float, pressures), reverse=True)
+    pressures = sorted((float(f"{float(p):.12g}") for p in pressures), reverse=True)
     groups = [tuple(pressures)] if recipe.decompress else [(pressure,) for pressure in pressures]
     seeds = list(seeds)
     series = [_Series(n, seed, group) for n in particles for group in groups for seed in seeds]
@@ -269,7 +274,9 @@ def _make(
     failure = ""
     for k, (pressure, name) in enumerate(s.names()):
         file, start = folder / name, time.perf_counter()
-        if name in missing:
+        if name not in missing:
+            failure = ""
+        else:
             report = _share(progress, k / len(s.pressures), 1 / len(s.pressures), f"{file.stem}: ")
             try:
                 if failure:
@@ -283,9 +290,11 @@ def _make(
                         Packing.read(last), pressure, shear_stabilised=recipe.shear_stabilised,
                         method=recipe.method, **options, progress=report,
                     )  # fmt: skip
-            except (InputError, SolverError) as error:
+            except Exception as error:
+                ours = isinstance(error, InputError | SolverError)
+                reason = str(error) if ours else f"{type(error).__name__}: {error}"
                 row = {"file": name, "particles": s.n, "target": pressure, "seed": s.seed,
-                       "failure": " ".join(str(error).split())}  # fmt: skip
+                       "failure": " ".join(reason.split())}  # fmt: skip
                 failure = f"{name}, to start from, failed"
             else:
                 if recipe.decompress:
@@ -324,7 +333,9 @@ def _read(folder: Path, recipe: Recipe | None = None) -> Library:
                 continue
         packing = Packing.read(file)
         kinds.setdefault(_kind(packing), file.name)
-        row, line = _row(file.name, packing), logged.pop(file.name, {})
+        with naming(file):
+            row = _row(file.name, packing)
+        line = logged.pop(file.name, {})
         if line.get("checksum") == row["checksum"]:
             row["seconds"] = _number(line["seconds"])
         rows.append(row)
@@ -376,19 +387,24 @@ def _check_units(folder: Path, kinds: dict[tuple[str, float], str]) -> None:
 
 
 def _row(name: str, packing: Packing) -> dict[str, Any]:
-    c, network = packing.certificate, None
-    if c.pressure is None or c.contacts is None:
+    made_by, c = packing.provenance, packing.certificate
+    measured = {name: getattr(c, name) for name in ("pressure", "Z", "rattlers", "contacts")}
+    if None in measured.values():
         network = ContactNetwork.of(packing)
+        # A packing that is not jammed may have none.
+        contacts = int((network.backbone[network.i] & network.backbone[network.j]).sum())
+        measured = {"pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
+                    "contacts": contacts}  # fmt: skip
     return {
-        "file": name, "particles": len(packing), "target": packing.provenance.get("pressure"),
-        "seed": packing.provenance.get("seed"), "phi": packing.phi,
-        "pressure": network.pressure if network else c.pressure,
-        "Z": network.Z if network else c.Z,
-        "rattlers": network.rattlers if network else c.rattlers,
-        "contacts": len(network.without_rattlers()) if network else c.contacts,
-        "lowest_eigenvalue": c.lowest_eigenvalue, "shear_modulus": c.shear_modulus,
+        "file": name, "particles": len(packing), "target": _if_number(made_by.get("pressure")),
+        "seed": _if_number(made_by.get("seed")), "potential": packing.potential_name, "phi": packing.phi,
+        **measured, "lowest_eigenvalue": c.lowest_eigenvalue, "shear_modulus": c.shear_modulus,
         "max_force": c.max_force, "proved": c.proved, "checksum": packing.checksum, "seconds": None,
     }  # fmt: skip
+
+
+def _if_number(value: Any) -> Any:
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def _failed(line: Mapping[str, str]) -> dict[str, Any]:

@@ -39,11 +39,24 @@ def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) 
             result = work(*arguments, **options)
         except Exception as caught:
             error = caught
-    ours = error if isinstance(error, InputError | SolverError) else error and RuntimeError(repr(error))
-    result, shared = comm.bcast((result, ours))
+    result, shared = comm.bcast((result, _for_others(error)))
     if shared is not None:
         raise error or shared
     return result
+
+
+def raise_together(comm: Any, error: Exception | None) -> None:
+    """Raise if any rank brings an error: its own on that rank, elsewhere that of the lowest such rank.
+
+    Collective. An error that is not ours is a RuntimeError on the other ranks.
+    """
+    shared = [e for e in comm.allgather(_for_others(error)) if e is not None]
+    if shared:
+        raise error or shared[0]
+
+
+def _for_others(error: Exception | None) -> Exception | None:
+    return error if isinstance(error, InputError | SolverError) else error and RuntimeError(repr(error))
 
 
 def total(comm: Any, share: Any) -> Any:

@@ -51,11 +51,12 @@ def teams(comm: Any, size: int = 1) -> Iterator[Team]:
 
 
 def cores_each(comm: Any) -> int:
-    """Return how many cores of its node there are for each rank of ``comm``."""
+    """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not."""
     from mpi4py import MPI
 
+    mine = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    cores = set().union(*node.allgather(set(mine)))
     ranks = node.size
     node.Free()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // ranks)
+    return max(1, len(cores) // ranks)

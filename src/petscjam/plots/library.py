@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.box import Array
 from petscjam.errors import InputError
 from petscjam.plots.figure import UNSTABLE, save
+from petscjam.potential import potential
 
 COLUMNS = (
     "particles",
@@ -29,7 +31,8 @@ COLUMNS = (
     "proved",
 )
 MARKERS = "osD^vP*X"
-# Where Z − Z_iso is fitted: p·N² above the one, p below the other (in k), N no longer matters, p not yet.
+# Where Z − Z_iso is fitted, with a of plot_library: where p^a·N² is above the one, N no longer matters; where
+# p^a is below the other (p in k), p does not yet.
 BULK, DENSE = 100.0, 1.1e-2
 
 
@@ -151,37 +154,40 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
     """Draw Z − Z_iso and φ − φJ against p, and the distribution of the lowest frequency, of a library.
 
     Large symbols are means over the packings of one N and target pressure, with standard errors; dots are
-    packings. Those that are judged and not proved minima are crosses, and count for nothing else.
+    packings. Those that are judged and not proved minima are crosses, and count for nothing else. Those
+    without pressure or contacts are not jammed: they are counted in the title, and not drawn.
 
     The isostatic number of contacts of the N' disks of the backbone is that of Goodrich, Liu and Nagel,
     Phys. Rev. Lett. 109, 095704 (2012): a periodic packing with a positive bulk modulus needs at least
     N_iso = d·N' − d + 1 contacts, in two dimensions Z_iso = 2·N_iso/N' = 4 − 2/N'. A packing with no
     contact to spare has Z = Z_iso, and no place on a logarithmic axis.
 
-    The exponent of Z − Z_iso is fitted to the means of p·N² > 100, where the number of disks no longer
-    matters (same paper), and p ≤ 0.01; its error is that of the means, and does not know of the window.
-    φJ of each N comes from :func:`fit_phi_J`. λ is the lowest eigenvalue of K with pre-stress, ω = √λ the
-    frequency of disks of unit mass; of each N and target the fraction of packings below ω is drawn.
+    Overlaps of contacts of exponent α grow as p^a, a = 1/(α − 1), and so does φ − φJ; Z − Z_iso grows as
+    its root. The exponent of Z − Z_iso is fitted to the means of p^a·N² > 100, where the number of disks no
+    longer matters (same paper, for α = 2), and p^a ≤ 0.01; its error is that of the means, and does not know
+    of the window. φJ of each N comes from :func:`fit_phi_J`, with the exponent a. λ is the lowest eigenvalue
+    of K with pre-stress, ω = √λ the frequency of disks of unit mass; of each N and target the fraction of
+    packings below ω is drawn.
 
     Parameters
     ----------
     rows : sequence of mappings
         One for each packing, with the keys ``particles``, ``pressure``, ``target`` (target pressure, None if
-        not known), ``phi``, ``Z``, ``rattlers``, ``contacts`` (within the backbone), ``lowest_eigenvalue``
-        (None or NaN if not known), ``proved`` (None if not judged).
+        not known), ``potential``, ``phi``, ``Z``, ``rattlers``, ``contacts`` (within the backbone),
+        ``lowest_eigenvalue`` (None or NaN if not known), ``proved`` (None if not judged).
     path : path
 
     Raises
     ------
     InputError
-        If there are no rows, one lacks a key or has no positive pressure, or the figure cannot be written.
+        If no row is of a jammed packing, one lacks a key, potentials differ, or the figure cannot be written.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, LogNorm
     from matplotlib.figure import Figure
 
-    sizes = _sizes(rows)
+    sizes, a = _sizes(rows), _exponent(rows)
     targets = np.unique(np.concatenate([size.target for size in sizes]))
     one = len(targets) == 1
     norm = LogNorm(*(targets[[0, 0]] * [0.5, 2] if one else targets[[0, -1]]))
@@ -194,8 +200,8 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
     halves: Any = figure.subfigures(1, 2, width_ratios=[2, 1.15])
     left, right = halves
     panels = left.subplots(1, 2)
-    _draw_excess(panels[0], sizes, colour)
-    _draw_density(panels[1], sizes, colour)
+    _draw_excess(panels[0], sizes, colour, a)
+    _draw_density(panels[1], sizes, colour, a)
     stack = right.subplots(len(sizes), 1, sharex=True, squeeze=False)[:, 0]
     _draw_lowest(stack, sizes, colour)
     right.supylabel(r"fraction of packings below $\omega$", fontsize=10)
@@ -209,17 +215,18 @@ def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
     if not rows:
         raise InputError("library: there are no packings to draw")
     for k, row in enumerate(rows):
-        missing = [name for name in COLUMNS if name not in row]
+        missing = [name for name in ("potential", *COLUMNS) if name not in row]
         if missing:
             raise InputError(f"library: packing {k} lacks {', '.join(missing)}")
+    jammed = [row for row in rows if _is_jammed(row)]
+    if not jammed:
+        raise InputError("library: no packing is jammed")
     table = {
-        name: np.array([np.nan if row[name] is None else row[name] for row in rows], dtype=float)
+        name: np.array([np.nan if row[name] is None else row[name] for row in jammed], dtype=float)
         for name in COLUMNS
     }
     n, p, target = table["particles"], table["pressure"], table["target"]
-    target = np.where(np.isfinite(target), target, [float(f"{x:.1e}") for x in p])
-    for k in np.flatnonzero(~((p > 0) & (target > 0)))[:1]:
-        raise InputError(f"library: the pressure of packing {k} is {p[k]}, its target {target[k]}")
+    target = np.where(target > 0, target, [float(f"{x:.1e}") for x in p])
     backbone = n - table["rattlers"]
     backbone[backbone == 0] = np.nan
     excess = 2 * (table["contacts"] - (2 * backbone - 1)) / backbone
@@ -230,6 +237,18 @@ def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
     ]
 
 
+def _is_jammed(row: Mapping[str, Any]) -> bool:
+    return (row["pressure"] or 0) > 0 and (row["contacts"] or 0) > 0
+
+
+def _exponent(rows: Sequence[Mapping[str, Any]]) -> float:
+    """Return a = 1/(α − 1) of the potential."""
+    first, *others = sorted({row["potential"] for row in rows})
+    if others:
+        raise InputError(f"library: mixed units: the potentials are {', '.join([first, *others])}")
+    return 1 / (potential(first).exponent - 1)
+
+
 def _summary(rows: Sequence[Mapping[str, Any]]) -> str:
     verdicts = [row["proved"] for row in rows]
     counts = {
@@ -238,10 +257,12 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> str:
         "not judged": sum(v is None for v in verdicts),
     }
     judged = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    return f"{len(rows)} packing{'' if len(rows) == 1 else 's'}: {judged}"
+    loose = sum(not _is_jammed(row) for row in rows)
+    left_out = f"; {loose} not jammed, not drawn" if loose else ""
+    return f"{len(rows)} packing{'' if len(rows) == 1 else 's'}: {judged}{left_out}"
 
 
-def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any) -> None:
+def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> None:
     curves = [(size, size.excess, f"N = {size.particles}") for size in sizes]
     _draw_curves(axes, curves, colour, "with no contact to spare, no dot")
     axes.set_ylabel(r"$Z - Z_\mathrm{iso}$,  $Z_\mathrm{iso} = 4 - 2/N'$")
@@ -249,7 +270,7 @@ def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any) -> None:
         point
         for size in sizes
         for point in zip(size.mean(size.p)[0], *size.mean(size.excess), strict=True)
-        if point[0] * size.particles**2 > BULK and point[0] < DENSE and point[1] > 0
+        if point[0] ** a * size.particles**2 > BULK and point[0] ** a < DENSE and point[1] > 0
     ]
     p, mean, error = np.array(bulk).reshape(-1, 3).T
     if len(np.unique(p)) > 1:
@@ -257,20 +278,23 @@ def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any) -> None:
         span = np.array([p.min(), p.max()])
         axes.plot(span, fit.prefactor * span**fit.exponent, color="0.15", lw=1, zorder=3,
                   label=f"slope {_pm(fit.exponent, fit.exponent_error)}\n"
-                        rf"($pN^2 > {BULK:g}$, $p \leq 0.01$)")  # fmt: skip
-        _guide(axes, lambda x: fit.prefactor * span[1] ** fit.exponent * (x / span[1]) ** 0.5 / 3, "slope ½")
+                        rf"(${_power(a)}N^2 > {BULK:g}$, ${_power(a)} \leq 0.01$)")  # fmt: skip
+        top = fit.prefactor * span[1] ** fit.exponent / 3
+        _guide(axes, lambda x: top * (x / span[1]) ** (a / 2), f"slope {_fraction(a / 2)}")
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 
-def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any) -> None:
-    curves, fits = [], []
+def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> None:
+    curves, fits, without = [], [], []
     for size in sizes:
         (p, _), (mean, error) = size.mean(size.p), size.mean(size.phi)
         if len(np.unique(p)) > 1:
-            fit = fit_phi_J(p, mean, error)
+            fit = fit_phi_J(p, mean, error, exponent=a)
             label = rf"N = {size.particles}: $\phi_J$ = {_pm(fit.phi_J, fit.phi_J_error)}"
             curves.append((size, size.phi - fit.phi_J, label))
             fits.append((fit, np.array([p.min(), fit.highest])))
+        else:
+            without.append(size)
     if not fits:
         curves = [(size, size.phi, f"N = {size.particles}") for size in sizes]
         _draw_curves(axes, curves, colour, "", log=False)
@@ -280,11 +304,15 @@ def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any) -> None:
     axes.set_ylabel(r"$\phi - \phi_J$")
     for fit, span in fits:
         if fit.slope > 0:
-            axes.plot(span, fit.slope * span, color="0.15", lw=1, zorder=3)
+            axes.plot(span, fit.slope * span**a, color="0.15", lw=1, zorder=3)
     slope = max(fit.slope for fit, _ in fits)
     if slope > 0:
-        _guide(axes, lambda p: slope * p / 5, "slope 1")
-    axes.plot([], [], color="0.15", lw=1, label=r"fits, $\propto p$")
+        _guide(axes, lambda p: slope * p**a / 5, f"slope {_fraction(a)}")
+    axes.plot([], [], color="0.15", lw=1, label=rf"fits, $\propto {_power(a)}$")
+    for size in without:
+        axes.plot(
+            [], [], " ", label=rf"N = {size.particles} not drawn: fewer than two pressures, no $\phi_J$"
+        )
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 
@@ -362,6 +390,15 @@ def _guide(axes: Any, law: Callable[[Array], Array], text: str) -> None:
     middle = np.sqrt(p[:1] * p[1:])
     axes.annotate(text, (middle[0], law(middle)[0]), (6, -2), textcoords="offset points", color="0.4",
                   fontsize=9, va="top")  # fmt: skip
+
+
+def _fraction(value: float) -> str:
+    return str(Fraction(value).limit_denominator(12))
+
+
+def _power(a: float) -> str:
+    """Write p^a for a formula."""
+    return "p" if a == 1 else f"p^{{{_fraction(a)}}}"
 
 
 def _pm(value: float, error: float) -> str:
