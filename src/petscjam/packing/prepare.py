@@ -27,6 +27,8 @@ GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their
 PUSHES = 1000
 BUDGET = 2_000_000
 ESCAPES = 20  # times that a negative mode is followed downhill
+ADJUSTMENTS = 10  # of the cell, at the end
+ROUNDING = 4.0  # forces in another cell than a packing's own, in units of those in its own
 HISTORY = 200  # points kept of the history of a preparation
 
 
@@ -171,10 +173,20 @@ def _minimum(
     book: _LogBook, way_down: Instability | None,
 ) -> Packing:  # fmt: skip
     """Minimise from ``packing``, or from a little way down along a motion that lowers the energy."""
-    h = Enthalpy(
-        packing, pressure, shape=stabilised, threads=threads,
-        budget=book.budget, evaluations=book.spent, report=book,
-    )  # fmt: skip
+
+    def energy(packing: Packing, pressure: float | None) -> Enthalpy:
+        return Enthalpy(
+            packing, pressure, shape=stabilised, threads=threads,
+            budget=book.budget, evaluations=book.spent, report=book,
+        )  # fmt: skip
+
+    def descended(h: Enthalpy, z: Array, slack: float, closeness: float) -> Packing:
+        force, relative, error = _goal(h, z)
+        z = descend(h, z, (slack * force, relative, error), closeness, method)
+        book.close(h)
+        return h.at(z)
+
+    h = energy(packing, pressure)
     z, closeness = h.start, first_closeness(len(packing))
     if way_down is not None:
         network = ContactNetwork.of(packing)
@@ -182,15 +194,19 @@ def _minimum(
         z = h.downhill(way_down.displacement, way_down.strain, 0.1 * float(overlap))
         closeness = min(closeness, 1e-2 * h.force / (h.pressure * h.diameter))
     z = METHODS[method](h, z, near(h, closeness))
-    force, relative, error = _goal(h, z)
-    z = descend(h, z, (4 * force, relative, error), closeness, method)
-    book.close(h)
-    packing = _free_rattlers(h.at(z))
-    # Scaling the positions rounds them; what this leaves is relaxed where it will be read.
-    h = Enthalpy(packing, threads=threads, budget=book.budget, evaluations=book.spent, report=book)
-    z = descend(h, h.start, _goal(h, h.start), 0.0, method)
-    book.close(h)
-    return h.at(z)
+    packing = _free_rattlers(descended(h, z, ROUNDING, closeness))
+    # In a cell other than its own a packing is rounded more. So the forces are relaxed once more in the
+    # final cell; that may cost a little pressure, and the cell has to be adjusted again.
+    for _ in range(ADJUSTMENTS):
+        h = energy(packing, pressure)
+        h.gradient(h.start)
+        if h.reached(_goal(h, h.start)):
+            break
+        if pressure is not None:
+            packing = descended(h, h.start, ROUNDING, 0.0)
+        h = energy(packing, None)
+        packing = descended(h, h.start, 1.0, 0.0)
+    return packing
 
 
 def _goal(h: Enthalpy, z: Array) -> Goal:
