@@ -276,52 +276,22 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
 
 
 def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
-    """Minimise by Polak–Ribière+ conjugate gradients until ``goal``; return z.
+    """Minimise by Polak–Ribière+ conjugate gradients (BT sec. 2.1) until ``goal``; return z."""
+    from petscjam.packing import kernels
 
-    Only gradients are compared: energies stop telling points apart at √ε of the way.
-    """
-    from petscjam.packing.kernels import combine, products
-
-    g = h.gradient(z)
-    d, step = -g, 0.1
+    z, trial = z.copy(), z.copy()
+    g, g_trial = h.gradient(z), np.empty_like(z)
+    d, limit, slope = -g, 0.1 * h.diameter, -float(g @ g)
+    longest = limit / max(float(np.abs(d).max()), 1e-300)
+    state = np.array([slope, min(0.1, longest), 0.0, slope, np.inf, np.inf, longest, 0.0])
     while not h.reached(goal):
-        gg, gd, _ = products(g, d)
-        if gd >= 0:
-            d, gd = -g, -gg
-        z, g_new, step = _line_minimum(h, z, d, gd, step)
-        _, across, new = products(g, g_new)
-        combine(max(0.0, (new - across) / gg), d, -1.0, g_new)
-        g = g_new
+        taken, h.force, h.energy, h.stress = kernels.conjugate_gradients(
+            z, g, d, trial, g_trial, state, h.force, h.energy, h.stress, goal,
+            min(REPORT_EVERY, h.budget - h.evaluations), limit, h.refresh(trial), h.largest, h.skin,
+            *h.arguments(),
+        )  # fmt: skip
+        h.count(z, taken)
     return z
-
-
-def _line_minimum(h: Enthalpy, z: Array, d: Array, slope0: float, step: float) -> tuple[Array, Array, float]:
-    """Find where the slope of H along ``d`` has risen from slope0 < 0 to zero, within 5 %, by secants.
-
-    A looser search takes more gradients at low pressure, a tighter one no fewer.
-    """
-    from petscjam.packing.kernels import products
-
-    limit = 0.1 * h.diameter / float(np.abs(d).max())
-    step = min(step, limit)
-    low, slope_low = 0.0, slope0
-    high, slope_high = np.inf, np.inf
-    for _ in range(20):
-        z_new = z + step * d
-        g = h.gradient(z_new)
-        slope = products(g, d)[1]
-        if abs(slope) <= -0.05 * slope0 or (slope < 0 and step >= limit):
-            break
-        if slope > 0:
-            high, slope_high = step, slope
-            step = low + (high - low) * slope_low / (slope_low - slope_high)
-        elif high < np.inf:
-            low, slope_low = step, slope
-            step = low + (high - low) * slope_low / (slope_low - slope_high)
-        else:
-            zero = step + (step - low) * slope / (slope_low - slope) if slope > slope_low else np.inf
-            low, slope_low, step = step, slope, min(zero, 4 * step, limit)
-    return z_new, g, step
 
 
 METHODS: dict[str, Callable[[Enthalpy, Array, Goal], Array]] = {"fire": fire, "cg": conjugate_gradients}
