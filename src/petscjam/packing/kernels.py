@@ -1,4 +1,4 @@
-"""The hot loops of packing preparation, compiled by numba: neighbours, forces over a list of pairs, FIRE.
+"""The hot loops of packing preparation, compiled by numba: neighbours, forces, and two minimisers.
 
 Disks are sorted in space and cut into runs of CHUNK. Pairs inside a run, which need no periodic image,
 come first; the few that join two runs or cross the edge of the cell come last, with their images. Runs
