@@ -7,7 +7,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
 READY_DOCS := $(if $(READY),.venv/.ready-docs)
 export PYTHON
 
-.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench clean
+.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench bench-lammps clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -54,6 +54,9 @@ docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 
 bench: $(READY) ## the direct sweep against bare MUMPS and SciPy, as ratios (five minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
+
+bench-lammps: $(READY) ## minimisation against LAMMPS, in an environment of its own (ten minutes)
+	$(PYTHON) benchmarks/minimise_lammps.py
 
 clean: ## remove what was built or computed, but not .venv
 	rm -rf docs/_build docs/_generated build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
