@@ -103,7 +103,7 @@ def prepare_packing(
         "polydispersity": float(polydispersity),
     }  # fmt: skip
     start = Packing(x @ box.cell, radii, box, potential_name, provenance=made_by)
-    log_book = _LogBook(pressure, budget, progress)
+    log_book = _LogBook(budget, progress)
     energy = Enthalpy(start, threads=threads, budget=budget, report=log_book)
     # A box let go before the disks have settled overshoots, and the way back along soft modes is long.
     z = METHODS[method](energy, energy.start, (1e-2 * pressure, 1e-2, 0.0))
@@ -136,9 +136,7 @@ def relax_packing(
     d, law = packing.mean_diameter, packing.potential
     unit = float(law.spring_constant(np.array(d))) * d ** (law.exponent - 2)
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
-    return _relaxed(
-        packing, pressure, shear_stabilised, method, threads, _LogBook(pressure, budget, progress)
-    )
+    return _relaxed(packing, pressure, shear_stabilised, method, threads, _LogBook(budget, progress))
 
 
 def _relaxed(
@@ -223,8 +221,8 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
 class _LogBook:
     """Budget, progress and history of a preparation that has several stages."""
 
-    def __init__(self, pressure: float | None, budget: int, progress: Report | None) -> None:
-        self.pressure, self.budget, self.progress = pressure, budget, progress
+    def __init__(self, budget: int, progress: Report | None) -> None:
+        self.budget, self.progress = budget, progress
         self.spent = 0
         self.history: dict[str, list] = {"evaluations": [], "phi": [], "pressure": [], "force": []}
         self._every = 1
