@@ -14,8 +14,6 @@ from numba import njit, prange
 
 CHUNK = 4096
 BATCH = 256
-
-
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 
 

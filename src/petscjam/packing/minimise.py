@@ -180,7 +180,7 @@ class Enthalpy:
     def refresh(self, z: Array) -> Array:
         """Rebuild the neighbour list if a pair that is not on it may touch; return z when it was built.
 
-        The skin follows the motion: a list is to last for a hundred gradients, and costs about ten.
+        The skin follows the motion: a list is to last for a hundred gradients, and costs about fourteen.
         """
         from petscjam.packing.kernels import farthest, stale
 
