@@ -188,7 +188,7 @@ def lowest_modes(
     with destroying(matrix, eps, *translations):
         for axis, vector in enumerate(translations):
             vector.array[axis::2] = (size / 2) ** -0.5
-        eps.setOptionsPrefix("modes_")
+        eps.setOptionsPrefix("petscjam_modes_")
         eps.setOperators(matrix)
         eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
         eps.setDeflationSpace(translations)
@@ -250,7 +250,7 @@ def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
     pinned.sort_indices()
     size = pinned.shape[0]
     matrix = symmetric_matrix(pinned.indptr, pinned.indices, pinned.data, size, MPI.COMM_SELF)
-    with destroying(matrix), direct_solver(MPI.COMM_SELF, "certify_", definite=False) as solver:
+    with destroying(matrix), direct_solver(MPI.COMM_SELF, "petscjam_certify_", definite=False) as solver:
         solver.factor(matrix)
         for s in range(len(GRADIENTS)):
             u[2:, s] = -solver.solve(across[2:, s])[0].real

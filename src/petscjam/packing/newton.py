@@ -99,7 +99,7 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
     across = weighted.T @ K.strain_rows
     rhs = np.column_stack([-_pulled(g[: 2 * n], F), -across])
     matrix = symmetric_matrix(H.indptr, H.indices, H.data, 2 * n, MPI.COMM_SELF)
-    with destroying(matrix), direct_solver(MPI.COMM_SELF, "newton_", definite=False) as solver:
+    with destroying(matrix), direct_solver(MPI.COMM_SELF, "petscjam_newton_", definite=False) as solver:
         solver.factor(matrix)
         u = np.stack([solver.solve(column)[0].real for column in rhs.T], axis=1)
     d = u[:, 0]
