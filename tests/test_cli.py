@@ -49,7 +49,9 @@ def test_a_result_reads_back_as_it_was_written(packing, tmp_path):
     append_modulus(g, tmp_path / "g.h5", "sixteen")
     back = pj.read_modulus(tmp_path / "g.h5")
     for item in fields(g):
-        if item.name not in ("geometry", "performance"):
+        if item.name in ("errors", "part_errors"):  # not known where each frequency is solved for
+            assert np.isnan(getattr(back, item.name)).all()
+        elif item.name not in ("geometry", "performance"):
             assert np.array_equal(getattr(back, item.name), getattr(g, item.name)), item.name
     assert back.geometry.checksum == g.geometry.checksum
     assert back.performance["factorisations"] == 2

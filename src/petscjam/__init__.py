@@ -24,7 +24,11 @@ _WHERE = {
     "StokesDrag": "damping",
     "ComplexModulus": "response.result",
     "complex_modulus": "response.moduli",
+    "Spectrum": "response.spectrum",
+    "spectrum": "response.reduced",
     "elastic_constants": "response.moduli",
+    "write_spectrum": "io.results",
+    "read_spectrum": "io.results",
     "read_modulus": "io.results",
     "read_moduli": "io.results",
 }

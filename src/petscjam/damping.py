@@ -116,6 +116,14 @@ class StokesDrag(DampingLaw):
 LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
 
 
+def law_or_default(damping: DampingLaw | None) -> DampingLaw:
+    """Return ``damping``; left out, contact damping with β = 1 and rotations."""
+    law = ContactDamping() if damping is None else damping
+    if not isinstance(law, DampingLaw):
+        raise InputError(f"damping: {law!r} is not a law; take ContactDamping(…) or StokesDrag(…)")
+    return law
+
+
 def viscous_form(
     network: ContactNetwork, my_disks: NDArray[np.bool_], strains: Sequence[StrainMode], law: DampingLaw
 ) -> Form:

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from os import PathLike, path
 from typing import Any
 
 import numpy as np
 
 from petscjam.box import Box
+from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
 from petscjam.response.result import ComplexModulus
-from petscjam.storage import HDF5_SIGNATURE, atomic_h5, naming, open_h5
+from petscjam.response.spectrum import Spectrum
+from petscjam.storage import HDF5_SIGNATURE, atomic_h5, check_output, naming, open_h5
 
-FORMAT, SCHEMA = "petscjam moduli", 1
+FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
 UNITS = {
     "omega": "1/tau1", "values": "stress", "residuals": "1", "power_balance": "1", "G0": "stress",
     "eta0": "stress*tau1", "G_inf": "stress", "eta_inf": "stress*tau1", "field_omega": "1/tau1",
-    "fields": "length per unit strain",
+    "fields": "length per unit strain", "nodes": "1/tau1", "span": "1/tau1",
+    "motions": "length per unit strain",
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
+OPTIONAL = ("geometry", "negative_modes", "model", "motions")
 DERIVED = ("stable",)  # written for other readers, never read back
 
 
@@ -113,6 +117,38 @@ def done(
     return set(results)
 
 
+def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a reduced model: a small file, unless it carries its motions.
+
+    Raises
+    ------
+    InputError
+        If the file exists and ``overwrite`` is not set, or cannot be written.
+    """
+    check_output(file, overwrite=overwrite)
+    with atomic_h5(file) as h5:
+        h5.attrs.update(format=FORMAT_MODEL, schema=SCHEMA)
+        for item in fields(model):
+            _write(h5, item.name, getattr(model, item.name))
+
+
+def read_spectrum(file: str | PathLike[str]) -> Spectrum:
+    """Return the reduced model of a file of :func:`write_spectrum`, or the one in a file of moduli.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or holds no reduced model, or several.
+    """
+    with open_h5(file) as h5:
+        if h5.attrs.get("format") == FORMAT_MODEL:
+            return _read_model(h5)
+    model = read_modulus(file).model
+    if model is None:
+        raise InputError(f"{file}: was made with one solve a frequency; it holds no reduced model")
+    return model
+
+
 def _write(node: Any, name: str, value: Any) -> None:
     if isinstance(value, np.ndarray):
         node[name] = value
@@ -125,7 +161,13 @@ def _write(node: Any, name: str, value: Any) -> None:
         geometry["positions"], geometry["radii"] = value.positions, value.radii
         geometry["cell"] = value.box.cell
         geometry.attrs["potential"] = value.potential_name
-    elif isinstance(value, tuple):
+    elif isinstance(value, Spectrum):
+        model = node.create_group(name)
+        for item in fields(value):
+            _write(model, item.name, getattr(value, item.name))
+    elif isinstance(value, DampingLaw):
+        node.create_group(name).attrs.update({"law": value.name, **asdict(value)})
+    elif name == "notes":
         node.attrs[name] = "\n".join(value)
     elif value is not None:
         node.attrs[name] = value
@@ -134,26 +176,37 @@ def _write(node: Any, name: str, value: Any) -> None:
 
 
 def _read(node: Any) -> ComplexModulus:
-    values: dict[str, Any] = {}
+    return ComplexModulus(**_values(node, ComplexModulus))
+
+
+def _read_model(node: Any) -> Spectrum:
+    values = _values(node, Spectrum)
+    settings = values["damping"]
+    law = LAWS[settings.pop("law")](**settings)
+    pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
+    return Spectrum(**{**values, **pairs, "damping": law})
+
+
+def _values(node: Any, kind: type[ComplexModulus | Spectrum]) -> dict[str, Any]:
     try:
-        for item in fields(ComplexModulus):
-            values[item.name] = _value(node, item.name)
+        return {item.name: _value(node, item.name) for item in fields(kind)}
     except KeyError as error:
         raise InputError(f"{node.name}: {error.args[0]}") from None
-    return ComplexModulus(**values)
 
 
 def _value(node: Any, name: str) -> Any:
+    if name in OPTIONAL and name not in node and name not in node.attrs:
+        return None
+    if name == "model":
+        return _read_model(node[name])
     if name == "geometry":
-        if name not in node:
-            return None
         g = node[name]
         return Packing(g["positions"][()], g["radii"][()], Box(g["cell"][()]), g.attrs["potential"])
     if name == "notes":
         return tuple(node.attrs[name].splitlines())
     if name in node:
         return _attributes(node[name].attrs.items()) if hasattr(node[name], "keys") else node[name][()]
-    return _plain(node.attrs[name]) if name != "negative_modes" else _plain(node.attrs.get(name))
+    return _plain(node.attrs[name])
 
 
 def _attributes(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -331,6 +331,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
             and miss <= max(1e-9 * pressure, floor / diameter)
             and (found.values > 10 * found.residuals).all()
         ),
+        checksum=packing.checksum,
     )
     return replace(packing, certificate=certificate), way_down
 

@@ -122,7 +122,9 @@ def _write_header(file: h5py.File) -> None:
 def _read_certificate(ours: h5py.Group) -> Certificate:
     known = {field.name for field in fields(Certificate)}
     stored: dict[str, Any] = {
-        name: value.tolist() for name, value in ours["certificate"].attrs.items() if name in known
+        name: value if isinstance(value, str) else value.tolist()
+        for name, value in ours["certificate"].attrs.items()
+        if name in known
     }
     if "eigenvalues" in stored:
         stored["eigenvalues"] = tuple(stored["eigenvalues"])

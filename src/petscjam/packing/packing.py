@@ -48,6 +48,8 @@ class Certificate:
         The lowest quasi-static shear modulus over all directions of shear; negative: unstable.
     proved : bool
         Whether this is a proved minimum; ``None`` until judged.
+    checksum : str
+        Of the packing that was judged: what was measured on another one says nothing about this.
     """
 
     max_force: float | None = None
@@ -63,6 +65,7 @@ class Certificate:
     eigenvalue_error: float | None = None
     shear_modulus: float | None = None
     proved: bool | None = None
+    checksum: str | None = None
 
     @property
     def lowest_eigenvalue(self) -> float | None:

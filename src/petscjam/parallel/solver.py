@@ -29,10 +29,12 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(self, comm: Any, prefix: str, definite: bool) -> None:
+    def __init__(
+        self, comm: Any, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float
+    ) -> None:
         PETSc = petsc()
         self.factorisations = 0
-        self._definite = definite
+        self._definite, self._out_of_core, self._block_low_rank = definite, out_of_core, block_low_rank
         self._A: Any = None
         self.ksp = PETSc.KSP().create(comm)
         self.ksp.setOptionsPrefix(prefix)
@@ -56,7 +58,7 @@ class DirectSolver:
         self.ksp.setOperators(A, A)
         if first:
             self.ksp.setFromOptions()
-            self._choose_pivoting()
+            self._configure()
         with stage("factor"):
             self.ksp.setUp()
             while self._code() in OUT_OF_WORKSPACE and self._factor().getMumpsIcntl(14) < LARGEST_WORKSPACE:
@@ -68,7 +70,7 @@ class DirectSolver:
     def solve(self, rhs: NDArray) -> tuple[NDArray, float]:
         """Solve for the local rows ``rhs``; return the local rows of x and ‖Ax − f‖/‖f‖.
 
-        One step of iterative refinement is taken where the residual is not yet at rounding.
+        Where the residual is not yet at rounding, it is refined as long as that helps.
         """
         if self._A.size[0] == 0:
             return rhs, 0.0
@@ -80,9 +82,9 @@ class DirectSolver:
             self.ksp.solve(f, x)
             if self.ksp.reason < 0:
                 raise SolverError(f"the solve failed (KSP reason {self.ksp.reason})")
-            residual = self._residual(x, f, r) / norm
-            if residual > GOOD_RESIDUAL:
-                correction = x.duplicate()
+            residual, before = self._residual(x, f, r) / norm, float("inf")
+            while GOOD_RESIDUAL < residual < before / 2:
+                before, correction = residual, x.duplicate()
                 with destroying(correction):
                     self.ksp.solve(r, correction)
                     x.axpy(1.0, correction)
@@ -94,6 +96,11 @@ class DirectSolver:
         """Memory of the factors on the rank that needs most, MB (MUMPS INFOG(21)); 0 without MUMPS."""
         return float(self._factor().getMumpsInfog(21)) if self._mumps() else 0.0
 
+    @property
+    def flops(self) -> float:
+        """Floating-point operations of the latest factorisation, all ranks (MUMPS RINFOG(3)); 0 without."""
+        return float(self._factor().getMumpsRinfog(3)) if self._mumps() else 0.0
+
     def _residual(self, x: Any, f: Any, r: Any) -> float:
         self._A.mult(x, r)
         r.aypx(-1.0, f)
@@ -102,15 +109,24 @@ class DirectSolver:
     def _factor(self) -> Any:
         return self.ksp.getPC().getFactorMatrix()
 
-    def _choose_pivoting(self) -> None:
-        """Let MUMPS take pivots as they come (CNTL(1) = 0) where K and B are positive semi-definite.
+    def _configure(self) -> None:
+        """Set MUMPS up before its analysis.
 
-        Then LDLᵀ of K + iωB without pivoting is stable, its entries grow by less than 3 (Higham, Math.
-        Comp. 67, 1591, 1998), and it is faster.
+        It takes pivots as they come (CNTL(1) = 0) where K and B are positive semi-definite: then LDLᵀ of
+        K + iωB without pivoting is stable, its entries grow by less than 3 (Higham, Math. Comp. 67, 1591,
+        1998), and it is faster.
         """
-        if self._definite and self._mumps():
-            self.ksp.pc.setFactorSetUpSolverType()
-            self._factor().setMumpsCntl(1, 0.0)
+        if not self._mumps():
+            return
+        self.ksp.pc.setFactorSetUpSolverType()
+        factor = self._factor()
+        if self._definite:
+            factor.setMumpsCntl(1, 0.0)
+        if self._out_of_core:
+            factor.setMumpsIcntl(22, 1)
+        if self._block_low_rank:
+            factor.setMumpsIcntl(35, 2)
+            factor.setMumpsCntl(7, self._block_low_rank)
 
     def _mumps(self) -> bool:
         pc = self.ksp.pc
@@ -136,7 +152,7 @@ class DirectSolver:
         options.setValue(name, max(4 * self._factor().getMumpsIcntl(14), 100))
         self.ksp.reset()
         self.ksp.setOperators(A, A)
-        self._choose_pivoting()
+        self._configure()
         self.ksp.setUp()
         options.delValue(name)
         if before is not None:
@@ -145,12 +161,16 @@ class DirectSolver:
 
 
 @contextmanager
-def direct_solver(comm: Any, prefix: str, *, definite: bool) -> Iterator[DirectSolver]:
+def direct_solver(
+    comm: Any, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
+) -> Iterator[DirectSolver]:
     """Give a :class:`DirectSolver` with PETSc options ``prefix``, and free it at the end.
 
     ``definite`` says that real and imaginary parts of the matrices are positive semi-definite.
+    ``out_of_core`` keeps the factor on disk, in the folder that MUMPS_OOC_TMPDIR names. ``block_low_rank``
+    compresses the factor to this relative accuracy, which refinement makes up for; 0: exact.
     """
-    solver = DirectSolver(comm, prefix, definite)
+    solver = DirectSolver(comm, prefix, definite, out_of_core, block_low_rank)
     with destroying(solver.ksp):
         yield solver
 

@@ -6,6 +6,7 @@ then minimises the dissipation. ω → ∞: u minimises the dissipation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,15 @@ class Limit(NamedTuple):
     def unknown(cls) -> Limit:
         """Return the limit that could not be had."""
         return cls(np.nan, np.nan, np.nan)
+
+
+def limit_or_note(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
+    """Solve for a limit; where it cannot be had, say why in ``notes``."""
+    try:
+        return solve()
+    except SolverError as error:
+        notes.append(f"{what} could not be had: {error}")
+        return Limit.unknown()
 
 
 def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:

@@ -6,25 +6,29 @@ Axes: w frequency, i disk, x Cartesian.
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.box import Array
-from petscjam.damping import ContactDamping, DampingLaw
+from petscjam.damping import ContactDamping, DampingLaw, law_or_default
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
-from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
-from petscjam.response.limits import LARGEST_RESIDUAL, Limit, infinite_frequency, quasistatic, zero_frequency
+from petscjam.response.limits import (
+    LARGEST_RESIDUAL,
+    infinite_frequency,
+    limit_or_note,
+    quasistatic,
+    zero_frequency,
+)
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.problem import LinearProblem
-from petscjam.response.result import ComplexModulus
+from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.result import ComplexModulus, frequencies
 
 
 def complex_modulus(
@@ -70,15 +74,12 @@ def complex_modulus(
     """
     comm = resolve(comm)
     lists = np.asarray(omegas).tolist(), np.asarray(fields_at).tolist()
-    _agree(comm, packing, *lists, damping, strain, prestress)
+    agree(comm, packing, *lists, damping, strain, prestress)
     omega = frequencies(omegas)
     kept = frequencies(fields_at, empty=True)
     if not np.isin(kept, omega).all():
         raise InputError(f"fields: {kept[~np.isin(kept, omega)].tolist()} are not frequencies of the sweep")
-    law = ContactDamping() if damping is None else damping
-    if not isinstance(law, DampingLaw):
-        raise InputError(f"damping: {law!r} is not a law; take ContactDamping(…) or StokesDrag(…)")
-    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm)
+    problem = LinearProblem(packing, law_or_default(damping), [strain_mode(strain)], prestress, comm)
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
@@ -95,18 +96,19 @@ def complex_modulus(
             if progress:
                 progress((w + 1) / (len(omega) + 1), f"ω = {frequency:.3g}, residual {residuals[w]:.0e}")
         memory, factorisations = solver.memory, solver.factorisations
-        high = _limit(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
-    low = _limit(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
+        high = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
+    low = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
     if balance.max() > LARGEST_RESIDUAL:
         problem.notes.append(f"the power balance is open by {balance.max():.1e}: G* is lost in rounding")
     if progress:
         progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
         omega=omega, values=values, residuals=residuals, power_balance=balance,
+        errors=np.full(len(omega), np.nan), part_errors=np.full((2, len(omega)), np.nan),
         G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
         limit_residuals=np.array([low.residual, high.residual]),
         negative_modes=None if problem.modes is None else problem.modes[0],
-        strain=strain, damping=str(law), prestress=prestress,
+        strain=strain, damping=str(problem.law), prestress=prestress,
         packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
         field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
         performance={
@@ -128,39 +130,13 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = N
         If K is singular on the backbone.
     """
     comm = resolve(comm)
-    _agree(comm, packing, prestress)
+    agree(comm, packing, prestress)
     # which law is immaterial: only K enters
     problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, comm)
     fields, _ = quasistatic(problem)
     motions = list(zip(fields, np.eye(3), strict=True))
     C = [[problem.product(problem.K_backbone, a, b).real for b in motions] for a in motions]
     return np.array(C) / packing.box.area
-
-
-def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
-    """Return ``omegas`` as an array, or refuse an empty one and any that is not > 0 and finite."""
-    omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
-    if omega.size == 0 and not empty:
-        raise InputError("omega: the range is empty")
-    bad = ~(np.isfinite(omega) & (omega > 0))
-    if bad.any():
-        raise InputError(f"omega: frequencies must be > 0 and finite, not {omega[np.argmax(bad)]:g}")
-    return omega
-
-
-def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, Any]:
-    """Return what identifies ``packing`` in a result."""
-    return {
-        "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
-        "pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
-        "potential": packing.potential_name,
-    }  # fmt: skip
-
-
-def _agree(comm: Any, packing: Packing, *settings: Any) -> None:
-    """Refuse arguments that differ between ranks: those would wait for each other forever."""
-    if len(set(comm.allgather((packing.checksum, *map(repr, settings))))) > 1:
-        raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
 
 
 def _solve(
@@ -183,11 +159,3 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     energy = K + 1j * omega * B
     schur = problem.affine[0] + 1j * omega * problem.affine[1] + coupling
     return problem.modulus(energy), abs(schur - energy) / (abs(energy) or 1.0)
-
-
-def _limit(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
-    try:
-        return solve()
-    except SolverError as error:
-        notes.append(f"{what} could not be had: {error}")
-        return Limit.unknown()

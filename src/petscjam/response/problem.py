@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.damping import DampingLaw, viscous_form
-from petscjam.errors import SolverError
+from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import modes
@@ -53,11 +53,17 @@ class LinearProblem:
         self.pinned_backbone: Mask = self.backbone.backbone[:, None] & np.array([True, True, False])
         self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
-        self.affine = tuple(self.product(form, rigid, rigid) for form in (self.K, self.B))
+        self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
 
     @cached_property
     def modes(self) -> tuple[int, int] | None:
-        """Numbers of negative and zero modes of K on the pinned backbone; None, with a note, if unknown."""
+        """Numbers of negative and zero modes of K on the pinned backbone; None, with a note, if unknown.
+
+        A certificate of this very packing says it; otherwise they are counted.
+        """
+        known = self.packing.certificate
+        if known.checksum == self.packing.checksum and known.negative_modes == known.zero_modes == 0:
+            return 0, 0  # without pre-stress K is stiffer still
         try:
             return on_root(self.comm, modes, self.backbone, self.prestress)
         except SolverError as error:
@@ -99,3 +105,18 @@ class LinearProblem:
     def viscosity(self, dissipation: float) -> float:
         """Turn Q†BQ of the first strain mode into its viscosity."""
         return self.strains[0].scale * dissipation / self.packing.box.area
+
+
+def agree(comm: Any, packing: Packing, *settings: Any) -> None:
+    """Refuse arguments that differ between ranks: those would wait for each other forever."""
+    if len(set(comm.allgather((packing.checksum, *map(repr, settings))))) > 1:
+        raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
+
+
+def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, Any]:
+    """Return what identifies ``packing`` in a result."""
+    return {
+        "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
+        "pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
+        "potential": packing.potential_name,
+    }  # fmt: skip

@@ -1,0 +1,431 @@
+"""What a reduced model knows: G* at every frequency with a bound on its error, its relaxation, G(t) and J(t).
+
+The model is the pencil (K, B) restricted to a few motions: Q₀ with strain 1 and motions without strain.
+docs/theory.md, Reduced model, has the proofs.
+
+Axes: w frequency, m motion (0 is Q₀), k node (a frequency at which K + iωB was factored), j relaxation,
+i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.box import Array
+from petscjam.damping import DampingLaw, StokesDrag
+from petscjam.errors import InputError, SolverError
+from petscjam.kinematics import strain_mode
+from petscjam.packing.packing import Packing
+from petscjam.response.result import ComplexModulus, frequencies
+
+EPS = float(np.finfo(float).eps)
+ROUNDING = 16 * EPS  # of a sum over all contacts, relative to the sum of moduli
+LARGEST_GAIN_ERROR = 1e-3  # a node beyond it does not count
+GAIN_ALLOWANCE = 100  # times its error is added to a gain
+INSTANT = 1e-13  # share of friction in a motion, below which it relaxes at once
+
+Complex = NDArray[np.complex128]
+
+
+class Relaxation(NamedTuple):
+    """Relaxation times (J,), ascending, in τ1, and their weights (J,), moduli in units of stress."""
+
+    times: Array
+    weights: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """G*(ω) of one packing at every frequency: ``s(omegas)``. Units: stress k (BT) or ke/d² (VOT), time τ1.
+
+    Attributes
+    ----------
+    span : (float, float)
+        Frequencies between which the model was made to hold, 1/τ1.
+    rtol : float
+        Bound on |ΔG*|/|G*| that was asked for there.
+    K, B : (M, M)
+        The pencil between the motions.
+    residual_K, residual_B : (M,)
+        The residual of the model at any ω has the length |(residual_K + iω residual_B)·(1, y)|.
+    nodes : (F,)
+        Frequencies of the factorisations, in the order in which they were chosen.
+    gains : (F,) complex
+        Rᵀ(K + iω_kB)⁻¹R, R the direction of the residual.
+    gain_errors : (F,)
+        How far R at each node is from parallel to R; NaN where rounding has taken its direction.
+    limits : (2, 2)
+        G0, η0 and G∞, η∞: of the model or, where the span ends too far from a plateau, solved for.
+    limit_errors : (2, 2)
+        How far each may be off, relatively (:meth:`own_limits`); of those solved for, the residual.
+    forcing : (float, float)
+        ‖K_uγ‖ and ‖B_uγ‖.
+    affine : (float, float)
+        K_γγ and B_γγ, before anything relaxes.
+    area, pressure : float
+        Of the cell; the pressure counts in the bulk modulus with pre-stress.
+    negative_modes : int or None
+        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    definite : bool
+        Whether K is known to have none: then :meth:`error` is a bound, else an estimate.
+    strain : str
+    damping : DampingLaw
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    performance : dict
+        Ranks, seconds, MUMPS memory (MB) and flops of a factorisation, largest residual of a solve.
+    motions : (M, N, 2) or None
+        Displacements of the motions; None in a model that was made without.
+    geometry : Packing or None
+        The packing, kept with the motions.
+    """
+
+    span: tuple[float, float]
+    rtol: float
+    K: Array
+    B: Array
+    residual_K: Array
+    residual_B: Array
+    nodes: Array
+    gains: Complex
+    gain_errors: Array
+    limits: Array
+    limit_errors: Array
+    forcing: tuple[float, float]
+    affine: tuple[float, float]
+    area: float
+    pressure: float
+    negative_modes: int | None
+    definite: bool
+    strain: str
+    damping: DampingLaw
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    performance: dict[str, Any] = field(default_factory=dict)
+    motions: Array | None = None
+    geometry: Packing | None = None
+
+    def __call__(self, omegas: ArrayLike) -> Complex:
+        """Return G* at ``omegas`` (any shape), 1/τ1."""
+        omega = np.asarray(omegas, dtype=float)
+        return self._modulus(omega.ravel()).reshape(omega.shape)
+
+    @property
+    def factorisations(self) -> int:
+        """How often K + iωB was factored."""
+        return len(self.nodes)
+
+    def error(self, omegas: ArrayLike) -> Array:
+        """Return a bound on |ΔG*|/|G*| at ``omegas``: truncation of the model, and rounding.
+
+        It holds at any frequency and grows outside ``span``. Where ``definite`` is False it is an estimate.
+        """
+        omega = np.asarray(omegas, dtype=float)
+        w = omega.ravel()
+        storage, loss = self._rounding(w)
+        return ((self._truncation(w) + np.hypot(storage, loss)) / abs(self._modulus(w))).reshape(omega.shape)
+
+    def truncation(self, omegas: ArrayLike) -> Array:
+        """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
+        omega = np.asarray(omegas, dtype=float)
+        w = omega.ravel()
+        return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
+
+    def part_errors(self, omegas: ArrayLike) -> tuple[Array, Array]:
+        """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|."""
+        omega = np.asarray(omegas, dtype=float)
+        w = omega.ravel()
+        G = self._modulus(w)
+        square = self._residual(w) ** 2
+        rise, fall = self._gain_parts(w)
+        whole, rounding = self._truncation(w), self._rounding(w)
+        least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
+        parts = []
+        for part, first, second, rounded in (
+            (abs(G.real), rise, fall, rounding[0]),
+            (abs(G.imag), fall, rise, rounding[1]),
+        ):
+            bound = np.minimum(whole, self._scale * (abs(square.real) * first + abs(square.imag) * second))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                parts.append((bound / part + np.maximum(rounded / part, least)).reshape(omega.shape))
+        return parts[0], parts[1]
+
+    def residuals(self, omegas: ArrayLike) -> Array:
+        """Return ‖(K + iωB)q − f‖/‖f‖ of the model at ``omegas``. The error of G* is quadratic in it."""
+        omega = np.asarray(omegas, dtype=float)
+        return abs(self._residual(omega.ravel())).reshape(omega.shape) / np.hypot(
+            self.forcing[0], omega * self.forcing[1]
+        )
+
+    def power_balance(self, omegas: ArrayLike) -> Array:
+        """Return |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V| at ``omegas``: zero but for rounding."""
+        omega = np.asarray(omegas, dtype=float)
+        w = omega.ravel()
+        Q = self._motion(w)
+        K, B = (np.einsum("wm,mn,wn->w", Q.conj(), form, Q).real for form in (self.K, self.B))
+        energy = K + 1j * w * B
+        schur = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
+        return (abs(schur - energy) / abs(energy)).reshape(omega.shape)
+
+    def displacement(self, omega: float) -> Complex:
+        """Return the non-affine displacements (N, 2) per unit strain at ``omega``; NaN on rattlers taken out.
+
+        Raises
+        ------
+        InputError
+            If the model was made, or stored, without its motions.
+        """
+        if self.motions is None:
+            raise InputError("this model was kept without its motions; make it again with displacements=True")
+        return np.tensordot(self._motion(np.atleast_1d(float(omega)))[0], self.motions, axes=1)
+
+    # ---- in time
+
+    def relaxation(self) -> Relaxation:
+        """Return the relaxation times and weights g_j: G* = G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j).
+
+        They are the exact poles of the model. Negative times, in an unstable packing, grow.
+        """
+        rates, weights, _ = self._maxwell
+        rising = np.argsort(1 / rates)
+        return Relaxation(1 / rates[rising], weights[rising])
+
+    def G(self, t: ArrayLike) -> Array:
+        """Return the stress relaxation modulus after a step of strain, at ``t`` ≥ 0 in τ1.
+
+        G(t) = G0 + Σ_j g_j exp(−t/τ_j). At the step itself comes η∞δ(t) besides.
+        """
+        rates, weights, _ = self._maxwell
+        return self._G0 + np.exp(-np.multiply.outer(_times(t), rates)) @ weights
+
+    def J(self, t: ArrayLike) -> Array:
+        """Return the creep compliance, strain per unit stress, at ``t`` ≥ 0 in τ1 after a step of stress."""
+        t, (rates, strengths, instant) = _times(t), self._creep
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crept = np.where(rates == 0, t[..., None], -np.expm1(-np.multiply.outer(t, rates)) / rates)
+        return instant + crept @ strengths
+
+    @property
+    def G0(self) -> float:
+        """Modulus at ω → 0."""
+        return float(self.limits[0, 0])
+
+    @property
+    def eta0(self) -> float:
+        """Viscosity at ω → 0."""
+        return float(self.limits[0, 1])
+
+    @property
+    def G_inf(self) -> float:
+        """Modulus at ω → ∞."""
+        return float(self.limits[1, 0])
+
+    @property
+    def eta_inf(self) -> float:
+        """Viscosity at ω → ∞."""
+        return float(self.limits[1, 1])
+
+    def own_limits(self) -> tuple[Array, Array]:
+        """Return G0, η0 and G∞, η∞ of the model, (2, 2), and how far each may be off, relatively, (2, 2).
+
+        That is the distance to G′ and G″/ω at the end of the span, and their error there. Relaxations slower
+        or faster than the span, which the model need not know, cannot hide in less.
+        """
+        rates, weights, eta_inf = self._maxwell
+        G0, ends = self._G0, np.array(self.span)
+        limits = np.array([[G0, eta_inf + (weights / rates).sum()], [G0 + weights.sum(), eta_inf]])
+        there = self(ends)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = abs(np.stack([there.real, there.imag / ends], axis=1) / limits - 1)
+        return limits, away + np.stack(self.part_errors(ends), axis=1)
+
+    def kramers_kronig(self, omegas: ArrayLike) -> Array:
+        """Return by how much G* at ``omegas`` departs from its sum over relaxations, relative to |G*|.
+
+        G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j) obeys the Kramers–Kronig relations exactly.
+        """
+        omega = np.asarray(omegas, dtype=float)
+        rates, weights, eta_inf = self._maxwell
+        s = 1j * omega[..., None]
+        return abs((self._G0 + 1j * omega * eta_inf + (weights * s / (s + rates)).sum(-1)) / self(omega) - 1)
+
+    # ---- others from this one
+
+    def with_fluid(self, eta_fluid: float) -> Spectrum:
+        """Return the spectrum for another viscosity ηF of the fluid (Stokes drag): G* gains iωΔηF, no solve.
+
+        Raises
+        ------
+        InputError
+            If the law is another one, or the fluid does not resist this strain mode.
+        """
+        if not (isinstance(self.damping, StokesDrag) and strain_mode(self.strain).shears_fluid):
+            raise InputError(f"the fluid plays no part in {self.damping}, {self.strain}")
+        law, B, limits = StokesDrag(eta_fluid), self.B.copy(), self.limits.copy()
+        more = law.fluid - self.damping.fluid
+        B[0, 0] += more * self.area
+        limits[:, 1] += more
+        affine = (self.affine[0], self.affine[1] + more * self.area)
+        return replace(self, B=B, damping=law, limits=limits, affine=affine)
+
+    def sample(self, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
+        """Return G* on a grid, with errors, and the displacements at ``fields_at``; the model goes along."""
+        omega, kept = frequencies(omegas), frequencies(fields_at, empty=True)
+        fields = [self.displacement(w) for w in kept]
+        return ComplexModulus(
+            omega=omega, values=self(omega), residuals=self.residuals(omega),
+            power_balance=self.power_balance(omega), errors=self.error(omega),
+            part_errors=np.array(self.part_errors(omega)),
+            G0=self.G0, eta0=self.eta0, G_inf=self.G_inf, eta_inf=self.eta_inf,
+            limit_residuals=self.limit_errors.max(1), negative_modes=self.negative_modes,
+            strain=self.strain, damping=str(self.damping), prestress=self.prestress, packing=self.packing,
+            notes=self.notes, field_omega=kept, fields=np.array(fields).reshape(len(kept), -1, 2),
+            geometry=self.geometry if fields else None, performance=self.performance,
+            model=replace(self, motions=None, geometry=None),
+        )  # fmt: skip
+
+    # ---- the model at work
+
+    @property
+    def _G0(self) -> float:
+        stiffness, _, force, _ = self._relaxing
+        held = abs(stiffness) > INSTANT
+        return float(self._scale * (self.K[0, 0] - (force[held] ** 2 / stiffness[held]).sum()) + self._shift)
+
+    @property
+    def _scale(self) -> float:
+        return strain_mode(self.strain).scale / self.area
+
+    @property
+    def _shift(self) -> float:
+        return strain_mode(self.strain).pressure_term * self.pressure
+
+    def _motion(self, w: Array) -> Complex:
+        """Return Q = (1, y), (W, M), with (K + iωB)y = −(K + iωB)Q₀ on the motions without strain."""
+        Q = np.ones((len(w), len(self.K)), dtype=complex)
+        if len(self.K) > 1:
+            A = self.K + 1j * w[:, None, None] * self.B
+            size = np.sqrt(abs(np.einsum("wmm->wm", A)))[:, 1:]
+            scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
+            Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+        return Q
+
+    def _modulus(self, w: Array) -> Complex:
+        Q = self._motion(w)
+        energy = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
+        return self._scale * energy + self._shift
+
+    def _residual(self, w: Array) -> Complex:
+        """Return Rᵀr(ω): the residual lies along one fixed direction R."""
+        Q = self._motion(w)
+        return Q @ self.residual_K + 1j * w * (Q @ self.residual_B)
+
+    def _truncation(self, w: Array) -> Array:
+        """Return the bound |Rᵀr|² max(1, ω_k/ω)(Re − Im) Rᵀ(K + iω_kB)⁻¹R, the best of all nodes.
+
+        As a modulus; so is the one from the bounds on both parts, where that is better.
+        """
+        nodes, rise, fall = self._gains
+        gain = (np.maximum(1, nodes / w[:, None]) * (rise + fall)).min(1, initial=np.inf)
+        gain = np.minimum(gain, np.hypot(*self._gain_parts(w)))
+        return self._scale * abs(self._residual(w)) ** 2 * gain
+
+    def _gain_parts(self, w: Array) -> tuple[Array, Array]:
+        """Return bounds on Re and −Im of Rᵀ(K + iωB)⁻¹R."""
+        nodes, rise, fall = self._gains
+        ratio = nodes / w[:, None]
+        return (
+            (np.maximum(1, ratio) ** 2 * rise).min(1, initial=np.inf),
+            (np.maximum(ratio, 1 / ratio) * fall).min(1, initial=np.inf),
+        )
+
+    @cached_property
+    def _gains(self) -> tuple[Array, Array, Array]:
+        """Return the nodes that count in the bound, and Re and −Im of their gains, allowing for rounding."""
+        known = self.gain_errors < LARGEST_GAIN_ERROR
+        gains = self.gains[known]
+        allowance = GAIN_ALLOWANCE * self.gain_errors[known] * abs(gains)
+        return self.nodes[known], abs(gains.real) + allowance, abs(gains.imag) + allowance
+
+    def _rounding(self, w: Array) -> tuple[Array, Array]:
+        """Return how much rounding of K and B between the motions may change G′ and G″.
+
+        Each entry is a sum over contacts of products, of the size that the diagonals tell; Q₀ is itself a
+        sum, of the affine motion and what relaxes it.
+        """
+        Q = self._motion(w)
+        parts = abs(np.stack([Q.real, Q.imag], axis=1))
+        sizes = (np.sqrt(abs(np.diag(form))) for form in (self.K, self.B))
+        K, B = (
+            parts @ np.append(size[0] + 2 * np.sqrt(abs(affine)), size[1:])
+            for size, affine in zip(sizes, self.affine, strict=True)
+        )
+        storage = (K**2).sum(1) + w * 2 * B.prod(1)
+        loss = 2 * K.prod(1) + w * (B**2).sum(1)
+        return ROUNDING * self._scale * storage, ROUNDING * self._scale * loss
+
+    @cached_property
+    def _relaxing(self) -> tuple[Array, Array, Array, Array]:
+        """Return stiffness, friction, forces of Q₀ in K and B, of motions that relax each by itself."""
+        stiffness, friction, vectors = _diagonal(self.K[1:, 1:], self.B[1:, 1:], self._middle)
+        return stiffness, friction, self.K[0, 1:] @ vectors, self.B[0, 1:] @ vectors
+
+    @cached_property
+    def _maxwell(self) -> tuple[Array, Array, float]:
+        """Return rates and weights of the relaxations, and η∞ (docs/theory.md, In time)."""
+        stiffness, friction, force, drag = self._relaxing
+        flows = friction > INSTANT * friction.max(initial=0.0)
+        relaxes = flows & (abs(stiffness) > INSTANT)
+        c, d = stiffness[relaxes], friction[relaxes]
+        rates = c / d
+        weights = self._scale * (force[relaxes] - rates * drag[relaxes]) ** 2 / c
+        eta_inf = self._scale * (self.B[0, 0] - (drag[flows] ** 2 / friction[flows]).sum())
+        return rates, weights, eta_inf
+
+    @cached_property
+    def _creep(self) -> tuple[Array, Array, float]:
+        """Return rates and strengths of J(s) = Σ strength/(s + rate) + instant; strain is a motion, too."""
+        K = self.K.copy()
+        K[0, 0] += self._shift / self._scale
+        stiffness, friction, vectors = _diagonal(K, self.B, self._middle)
+        flows = friction > INSTANT * friction.max(initial=0.0)
+        strain = vectors[0] ** 2 / self._scale
+        rates, strengths = stiffness[flows] / friction[flows], strain[flows] / friction[flows]
+        return rates, strengths, float((strain[~flows] / stiffness[~flows]).sum())
+
+    @property
+    def _middle(self) -> float:
+        return float(np.sqrt(self.span[0] * self.span[1]))
+
+
+def _diagonal(K: Array, B: Array, omega: float) -> tuple[Array, Array, Array]:
+    """Return c, d and vectors (in columns) that turn K into diag(c) and B into diag(d).
+
+    They are normalised by K + ωB, so that |c| ≤ 1 unless K is indefinite: then ω is raised.
+    """
+    from scipy.linalg import LinAlgError, eigh
+
+    for _ in range(12):
+        try:
+            c, vectors = eigh(K, K + omega * B)
+        except LinAlgError:
+            omega *= 10
+            continue
+        return c, (1 - c) / omega, vectors
+    raise SolverError("K + ωB between the motions is not positive at any ω: the packing is unstable")
+
+
+def _times(t: ArrayLike) -> Array:
+    t = np.asarray(t, dtype=float)
+    bad = ~(t >= 0)
+    if bad.any():
+        raise InputError(f"t: times must be ≥ 0, not {np.atleast_1d(t)[np.argmax(bad)]:g}")
+    return t
