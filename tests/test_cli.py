@@ -37,6 +37,16 @@ def test_moduli_are_those_of_the_library(packing, tmp_path):
     assert main(["moduli", str(packing), "--omega", "1e-3:10:5", "--beta", "0.1", "-o", str(out)]) == 0
     omega = [1e-3, 1e-2, 1e-1, 1.0, 10.0]
     expected = pj.complex_modulus(pj.Packing.read(packing), omega, damping=pj.ContactDamping(0.1))
+    g = pj.read_modulus(out)
+    assert (abs(g.values / expected.values - 1) <= g.errors + 1e-12).all()
+
+
+def test_direct_moduli_are_those_of_the_library(packing, tmp_path):
+    out = tmp_path / "g.h5"
+    arguments = ["moduli", str(packing), "--omega", "1e-3:10:5", "--beta", "0.1", "--direct", "-o", str(out)]
+    assert main(arguments) == 0
+    omega = [1e-3, 1e-2, 1e-1, 1.0, 10.0]
+    expected = pj.complex_modulus(pj.Packing.read(packing), omega, damping=pj.ContactDamping(0.1))
     assert (pj.read_modulus(out).values == expected.values).all()
 
 

@@ -26,6 +26,7 @@ PIPELINE = [
     "analysis",
     "md",
     "io",
+    "ensemble",
     "reference",
     "report",
     "plots",

@@ -94,30 +94,57 @@ def _mean(values: list[float]) -> str:
 
 
 def table(results: Mapping[str, ComplexModulus]) -> str:
-    """Return a table of ``results``: limits, worst residual, and whether the packing is stable."""
-    if not results:
-        return "no results yet"
+    """Return a table of ``results`` for each law: limits, worst error, and whether the packing is stable."""
+    blocks: dict[tuple[str, str, bool, bool], dict[str, ComplexModulus]] = {}
+    for name, g in results.items():
+        blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None), {})[name] = g
+    return "\n\n".join(_block(some) for some in blocks.values()) or "no results yet"
+
+
+def _block(results: Mapping[str, ComplexModulus]) -> str:
     first = next(iter(results.values()))
     width = max(len(name) for name in results)
-    head = (
-        f"{'packing':{width}} {'N':>7} {'phi':>8} {'p':>9} {'Z':>6} "
-        f"{'G0':>12} {'eta0':>12} {'G_inf':>12} {'eta_inf':>12} {'residual':>8}  state"
-    )
+    what, meaning = "residual", "residual of each solve"
+    if first.model:
+        proved = all(g.model and g.model.definite for g in results.values())
+        bound = "bound" if proved else "bound or estimate"
+        what, meaning = "error", f"error: {bound} on |ΔG*|/|G*|"
     lines = [
         f"{first.strain}, {first.damping}, {'with' if first.prestress else 'without'} pre-stress; "
-        f"{len(first.omega)} frequencies from {first.omega.min():.3g} to {first.omega.max():.3g}; "
-        "stress in k, time in tau1",
-        head,
+        f"{len(first.omega)} frequencies from {first.omega.min():.3g} to {first.omega.max():.3g}",
+        f"stress in k, time in tau1; {meaning}",
+        f"{'packing':{width}} {'N':>7} {'phi':>8} {'p':>9} {'Z':>6} "
+        f"{'G0':>12} {'eta0':>12} {'G_inf':>12} {'eta_inf':>12} {what:>8}  state",
     ]
     for name, g in results.items():
         p = g.packing
         limits = " ".join(f"{_value(x):>12}" for x in (g.G0, g.eta0, g.G_inf, g.eta_inf))
+        worst = (g.errors if g.model else g.residuals).max()
         lines.append(
             f"{name:{width}} {p['particles']:7d} {p['phi']:8.5f} {p['pressure']:9.3e} {p['Z']:6.3f} "
-            f"{limits} {g.residuals.max():8.1e}  {state(g)}"
+            f"{limits} {worst:8.1e}  {state(g)}"
         )
         lines += [f"{'':{width}} {note}" for note in g.notes]
+    alike: dict[tuple[int, str], list[ComplexModulus]] = {}
+    for g in results.values():
+        if g.stable:
+            alike.setdefault((g.packing["particles"], f"{g.packing['pressure']:.1e}"), []).append(g)
+    for (n, p), some in alike.items():
+        if len(some) > 1:
+            for label, take in ((f"mean of {len(some)} stable", np.mean), ("± its error", _error)):
+                limits = (
+                    take([getattr(g, name) for g in some]) for name in ("G0", "eta0", "G_inf", "eta_inf")
+                )
+                lines.append(
+                    f"{label:{width}} {n:7d} {'':8} {p:>9} {'':6} "
+                    + " ".join(f"{_value(float(x)):>12}" for x in limits)
+                )
     return "\n".join(lines)
+
+
+def _error(values: list[float]) -> float:
+    """Return the standard error of the mean."""
+    return float(np.std(values, ddof=1) / len(values) ** 0.5)
 
 
 def state(g: ComplexModulus) -> str:

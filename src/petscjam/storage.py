@@ -100,6 +100,26 @@ def write_atomically(path: str | PathLike[str], data: bytes) -> None:
 
 
 @contextmanager
+def locked(path: str | PathLike[str]) -> Iterator[None]:
+    """Keep other processes that ask for the same ``path`` waiting while it is read, changed and replaced."""
+    import fcntl
+
+    with naming(path), open(_lock_of(path), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def unlock(path: str | PathLike[str]) -> None:
+    """Remove what :func:`locked` leaves behind, once nobody uses it any more."""
+    _lock_of(path).unlink(missing_ok=True)
+
+
+def _lock_of(path: str | PathLike[str]) -> Path:
+    target = Path(os.path.realpath(path))
+    return target.with_name(f".{target.name}.lock")
+
+
+@contextmanager
 def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5py.File]:
     """Yield an HDF5 file in memory; write it to ``path`` when the block ends without an error.
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import Field, fields
+from itertools import product
+from typing import Any
 
 from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError
@@ -14,9 +16,13 @@ def option(item: Field) -> str:
     return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
 
 
-def chosen_law(options: argparse.Namespace) -> DampingLaw:
-    """Return the damping law that the options describe; an option of another law is refused."""
-    law, settings = LAWS[options.damping], {}
+def chosen_laws(options: argparse.Namespace) -> list[DampingLaw]:
+    """Return the damping laws that the options describe, one for each combination of their values.
+
+    An option of another law is refused.
+    """
+    law = LAWS[options.damping]
+    settings: dict[str, list[Any]] = {}
     for other in LAWS.values():
         for item in fields(other):
             value = getattr(options, item.name)
@@ -24,5 +30,5 @@ def chosen_law(options: argparse.Namespace) -> DampingLaw:
                 continue
             if item.name not in [own.name for own in fields(law)]:
                 raise InputError(f"{option(item)} goes with --damping {other.name}, not with {law.name}")
-            settings[item.name] = value
-    return law(**settings)
+            settings[item.name] = value if isinstance(value, list) else [value]
+    return [law(**dict(zip(settings, values, strict=True))) for values in product(*settings.values())]

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 from petscjam.cli import verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
-from petscjam.cli.values import frequencies, number, points, seeds, whole
+from petscjam.cli.values import frequencies, number, numbers, points, seeds, whole
 from petscjam.damping import LAWS
 from petscjam.errors import InputError
 from petscjam.kinematics import STRAINS
@@ -118,15 +118,30 @@ def build_parser() -> Parser:
             if isinstance(item.default, bool):
                 p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
             else:
-                text += f" (default {item.default:g})"
-                p.add_argument(option(item), dest=item.name, type=number, metavar="X", help=text)
+                text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
+                p.add_argument(option(item), dest=item.name, type=numbers, metavar="X,…", help=text)
     p.add_argument("--strain", choices=STRAINS, default="simple-shear",
                    help="mode of deformation (default simple-shear)")  # fmt: skip
-    p.add_argument("--no-prestress", action="store_true", help="leave out the forces of the initial state")
+    either = p.add_mutually_exclusive_group()
+    p.set_defaults(prestress=[True])
+    either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False],
+                        help="leave out the forces of the initial state")  # fmt: skip
+    either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False],
+                        help="with and without these, side by side")  # fmt: skip
     p.add_argument("--fields", type=frequencies, default=(), metavar="RANGE",
                    help="frequencies of the sweep (nearest point) whose displacements are kept")  # fmt: skip
+    p.add_argument("--rtol", type=number, default=1e-6, metavar="X",
+                   help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
+                        "frequency (default 1e-6)")  # fmt: skip
     p.add_argument("--direct", action="store_true",
-                   help="one factorisation a frequency (for now the only way)")  # fmt: skip
+                   help="one factorisation a frequency instead of the reduced model")  # fmt: skip
+    p.add_argument("--team-size", type=int, metavar="R",
+                   help="ranks that work on a packing together (default 1; more where packings are few or "
+                        "large)")  # fmt: skip
+    p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
+    p.add_argument("--block-low-rank", type=number, default=0.0, metavar="X",
+                   help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it "
+                        "(default 0: exact)")  # fmt: skip
     output(p, "OUT.h5", "results, one group a packing")
 
     p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or G' and G'' of a result")

@@ -21,6 +21,13 @@ def number(text: str) -> float:
     return value
 
 
+def numbers(text: str) -> list[float]:
+    """Parse ``A,B,…`` or ``A:B:N``, evenly in the logarithm, both ends counted."""
+    if ":" in text:
+        return [float(value) for value in points(text)]
+    return [number(part) for part in text.split(",")]
+
+
 def whole(text: str) -> list[int]:
     """Parse ``A,B,…``."""
     try:

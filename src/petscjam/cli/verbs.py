@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from petscjam.cli.laws import chosen_law
+from petscjam.cli.laws import chosen_laws
 from petscjam.errors import InputError, SolverError
 from petscjam.parallel.comm import on_root
 
@@ -167,58 +167,46 @@ def packings_of(given: Path) -> list[Path]:
 
 
 def moduli(options: argparse.Namespace, comm: Any) -> None:
-    """Sweep packing after packing, the ranks together; each result is written as it comes."""
+    """Find G* of packing after packing, dealt to teams of ranks; each result is written as it comes."""
     import numpy as np
 
-    from petscjam.io.importers import import_packing
-    from petscjam.io.results import append_modulus, done, group_name, read_moduli
+    from petscjam.ensemble import sweep
+    from petscjam.io.results import read_moduli
     from petscjam.parallel.petsc import start
-    from petscjam.progress import part, progress
+    from petscjam.progress import progress
     from petscjam.report import table
-    from petscjam.response.moduli import complex_modulus
-    from petscjam.storage import check_output, naming
 
     start(comm)
-    damping, omega = chosen_law(options), options.omega
+    laws, omega = chosen_laws(options), options.omega
+    if options.team_size is not None and options.team_size < 1:
+        raise InputError(f"moduli: --team-size must be at least 1, not {options.team_size}")
     for w in options.fields:
         if not omega.min() <= w <= omega.max():
             raise InputError(f"--fields {w:g} lies outside the sweep")
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
-    kept = omega[np.unique(np.array(nearest, dtype=int))]
-    settings = {"damping": str(damping), "strain": options.strain, "prestress": not options.no_prestress}
 
-    def files_and_groups_done() -> tuple[list[Path], set[str]]:
-        files = [file for given in options.packings for file in packings_of(given)]
-        for file in files:
-            if not file.exists():
-                raise InputError(f"{file}: no such file")
-        if not files:
+    def files() -> list[Path]:
+        found = [file for given in options.packings for file in packings_of(given)]
+        if not found:
             raise InputError(f"{options.packings[0]}: no packings in this folder")
-        check_output(options.output, overwrite=options.overwrite or options.resume, inputs=files)
-        if options.resume and options.output.exists():
-            return files, done(options.output, settings, omega, kept)
-        return files, set()
+        return found
 
-    files, groups = on_root(comm, files_and_groups_done)
-    fresh = options.overwrite
     with progress("moduli", show=comm.rank == 0) as report:
-        for k, file in enumerate(files):
-            packing = on_root(comm, import_packing, file)
-            group = group_name(packing, file.stem)
-            if group in groups:
-                continue
-            with naming(file):
-                result = complex_modulus(
-                    packing, omega, damping=damping, strain=options.strain, prestress=settings["prestress"],
-                    comm=comm, fields_at=kept, name=file.stem,
-                    progress=part(report, k, len(files), f"{file.stem}: "),
-                )  # fmt: skip
-            on_root(comm, append_modulus, result, options.output, group, fresh=fresh)
-            groups.add(group)
-            fresh = False
-    say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
+        failures = sweep(
+            on_root(comm, files), omega, options.output, laws=laws, prestress=options.prestress,
+            strain=options.strain, rtol=options.rtol, direct=options.direct,
+            fields_at=omega[np.unique(np.array(nearest, dtype=int))], comm=comm, team_size=options.team_size,
+            resume=options.resume, overwrite=options.overwrite, out_of_core=options.out_of_core,
+            block_low_rank=options.block_low_rank, progress=report,
+            log=lambda line: print(line, flush=True),
+        )  # fmt: skip
+    if options.output.exists():
+        say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
+    if failures:
+        lines = "".join(f"\n  {failure}" for failure in failures)
+        raise SolverError(f"{len(failures)} moduli failed; --resume tries them again:{lines}")
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:

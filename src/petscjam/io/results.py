@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from os import PathLike, path
 from typing import Any
 
 import numpy as np
 
-from petscjam.box import Box
+from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
@@ -35,11 +35,11 @@ def group_name(packing: Packing, name: str) -> str:
 
 
 def append_modulus(
-    result: ComplexModulus, file: str | PathLike[str], group: str, *, fresh: bool = False
+    result: ComplexModulus, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = ""
 ) -> None:
     """Add ``result`` to ``file`` as ``group``; the file is whole at every moment.
 
-    With ``fresh`` it replaces whatever the file held.
+    With ``fresh`` it replaces whatever the file held. ``run`` tells who wrote last.
 
     Raises
     ------
@@ -47,12 +47,20 @@ def append_modulus(
         If the file cannot be read or written.
     """
     with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
-        h5.attrs.update(format=FORMAT, schema=SCHEMA)
+        h5.attrs.update(format=FORMAT, schema=SCHEMA, run=run)
         node = h5.create_group(group)
         for item in fields(result):
             _write(node, item.name, getattr(result, item.name))
         for name in DERIVED:
             node.attrs[name] = getattr(result, name)
+
+
+def run_of(file: str | PathLike[str]) -> str | None:
+    """Return which run wrote last to ``file``; None if there is none."""
+    if not path.exists(file):
+        return None
+    with open_h5(file) as h5:
+        return h5.attrs.get("run")
 
 
 def is_result(file: str | PathLike[str]) -> bool:
@@ -94,9 +102,12 @@ def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
 
 
 def done(
-    file: str | PathLike[str], settings: dict[str, Any], omega: np.ndarray, kept: np.ndarray
+    file: str | PathLike[str], wanted: Mapping[str, Mapping[str, Any]], strain: str, omega: Array, kept: Array
 ) -> set[str]:
     """Return the groups that ``file`` holds already, if they were made with the same settings.
+
+    ``wanted`` has the damping and pre-stress of each group that this run would make. Groups of other packings
+    may stay if their settings are among these.
 
     Raises
     ------
@@ -104,14 +115,19 @@ def done(
         If they were made with others.
     """
     results = read_moduli(file)
-    for name, result in results.items():
-        for setting in SETTINGS:
-            if getattr(result, setting) != settings[setting]:
-                raise InputError(
-                    f"{file}: {name} was made with {setting} = {getattr(result, setting)}, "
-                    f"not {settings[setting]}; it cannot be resumed"
-                )
-        for what, old, new in (("omega", result.omega, omega), ("fields", result.field_omega, kept)):
+    for name, g in results.items():
+        choices = [{**settings, "strain": strain} for settings in (
+            [wanted[name]] if name in wanted else wanted.values()
+        )]  # fmt: skip
+        if not any(all(getattr(g, key) == choice[key] for key in SETTINGS) for choice in choices):
+            for key in SETTINGS:
+                if all(getattr(g, key) != choice[key] for choice in choices):
+                    raise InputError(
+                        f"{file}: {name} was made with {key} = {getattr(g, key)}, "
+                        f"not {choices[0][key]}; it cannot be resumed"
+                    )
+            raise InputError(f"{file}: {name} was made with another law; it cannot be resumed")
+        for what, old, new in (("omega", g.omega, omega), ("fields", g.field_omega, kept)):
             if not np.array_equal(old, new):
                 raise InputError(f"{file}: {name} has other frequencies ({what}); it cannot be resumed")
     return set(results)

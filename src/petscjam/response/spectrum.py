@@ -279,7 +279,7 @@ class Spectrum:
     def sample(self, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
         """Return G* on a grid, with errors, and the displacements at ``fields_at``; the model goes along."""
         omega, kept = frequencies(omegas), frequencies(fields_at, empty=True)
-        fields = [self.displacement(w) for w in kept]
+        fields = np.array([self.displacement(w) for w in kept], dtype=complex)
         return ComplexModulus(
             omega=omega, values=self(omega), residuals=self.residuals(omega),
             power_balance=self.power_balance(omega), errors=self.error(omega),
@@ -287,8 +287,8 @@ class Spectrum:
             G0=self.G0, eta0=self.eta0, G_inf=self.G_inf, eta_inf=self.eta_inf,
             limit_residuals=self.limit_errors.max(1), negative_modes=self.negative_modes,
             strain=self.strain, damping=str(self.damping), prestress=self.prestress, packing=self.packing,
-            notes=self.notes, field_omega=kept, fields=np.array(fields).reshape(len(kept), -1, 2),
-            geometry=self.geometry if fields else None, performance=self.performance,
+            notes=self.notes, field_omega=kept, fields=fields if len(kept) else np.empty((0, 0, 2), complex),
+            geometry=self.geometry if len(kept) else None, performance=self.performance,
             model=replace(self, motions=None, geometry=None),
         )  # fmt: skip
 

@@ -1,0 +1,247 @@
+"""Moduli of many packings under one or several laws, dealt to teams of ranks, and their averages.
+
+Axes: w frequency.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.box import Array
+from petscjam.damping import DampingLaw
+from petscjam.errors import InputError, SolverError
+from petscjam.io.importers import import_packing
+from petscjam.io.results import append_modulus, done, group_name, run_of
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import on_root
+from petscjam.parallel.solver import available_memory, factor_memory
+from petscjam.parallel.teams import Team, teams
+from petscjam.progress import Report, part
+from petscjam.response.moduli import complex_modulus
+from petscjam.response.reduced import spectrum
+from petscjam.response.result import ComplexModulus
+from petscjam.storage import check_output, locked, naming, unlock
+
+
+@dataclass(frozen=True)
+class Job:
+    """A modulus to find: of a packing (a file), under a law; ``group`` names the result."""
+
+    file: Path
+    particles: int
+    group: str
+    law: DampingLaw
+    prestress: bool
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a result that exists must have been made with."""
+        return {"damping": str(self.law), "prestress": self.prestress}
+
+
+def sweep(
+    files: Sequence[Path],
+    omegas: Array,
+    output: str | PathLike[str],
+    *,
+    laws: Sequence[DampingLaw],
+    prestress: Sequence[bool] = (True,),
+    strain: str = "simple-shear",
+    rtol: float = 1e-6,
+    direct: bool = False,
+    fields_at: ArrayLike = (),
+    comm: Any,
+    team_size: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    out_of_core: bool = False,
+    block_low_rank: float = 0.0,
+    progress: Report | None = None,
+    log: Callable[[str], None] = print,
+) -> list[str]:
+    """Add G* of each of ``files`` under each law to ``output``, one group a result; return what failed.
+
+    Jobs are dealt to teams of ``team_size`` ranks; left out, one rank a team, more where there are fewer jobs
+    than ranks or the factors would not fit into memory. The file is whole at every moment and holds what is
+    finished. ``log`` gets a line for each result, on the first rank of its team.
+
+    Raises
+    ------
+    InputError
+        On files that are missing or no packings, an output that exists or was made with other settings.
+    """
+    fields_at = np.asarray(fields_at, dtype=float)
+
+    def plan() -> tuple[list[Job], set[str]]:
+        for file in files:
+            if not file.exists():
+                raise InputError(f"{file}: no such file")
+        check_output(output, overwrite=overwrite or resume, inputs=files)
+        jobs = list(_jobs(files, laws, prestress))
+        there = set()
+        if resume and Path(output).exists():
+            there = done(output, {job.group: job.settings for job in jobs}, strain, omegas, fields_at)
+        return jobs, there
+
+    jobs, there = on_root(comm, plan)
+    jobs = [job for job in jobs if job.group not in there]
+    run = comm.bcast(uuid4().hex)
+    failures: list[str] = []
+    if jobs:
+        size = team_size or _team_size(max(job.particles for job in jobs), len(jobs), comm, out_of_core)
+        with teams(comm, min(size, comm.size)) as team:
+            mine = team.deal(jobs, lambda job: job.particles)
+            for k, job in enumerate(mine):
+                report = part(progress, k, len(mine), f"{job.group}: ") if progress else None
+                try:
+                    result, seconds = _solve(
+                        job, team, omegas, strain, rtol, direct, fields_at, report,
+                        out_of_core=out_of_core, block_low_rank=block_low_rank,
+                    )  # fmt: skip
+                    on_root(team.comm, _store, result, output, job.group, run, resume, team.count > 1)
+                except (InputError, SolverError) as error:  # the same on all ranks of the team
+                    failures += [str(error)] * (team.comm.rank == 0)
+                    if len(jobs) == 1:
+                        raise
+                    continue
+                if team.comm.rank == 0:
+                    log(_line(job.group, result, seconds))
+    everyone = comm.allgather(failures)
+    if jobs and comm.rank == 0:
+        unlock(output)
+    return [text for rank in everyone for text in rank]
+
+
+def _jobs(files: Sequence[Path], laws: Sequence[DampingLaw], prestress: Sequence[bool]) -> Iterable[Job]:
+    """Name every job: the packing, its checksum, and the law and pre-stress where these differ."""
+    seen = set()
+    for file in files:
+        packing = import_packing(file)
+        for law in laws:
+            for kept in prestress:
+                group = group_name(packing, file.stem)
+                group += f" {law}" * (len(laws) > 1) + (" with", " without")[not kept] * (len(prestress) > 1)
+                if group not in seen:
+                    seen.add(group)
+                    yield Job(file, len(packing), group, law, kept)
+
+
+def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
+    """Return ranks for each job: no rank without work, and factors that fit into the memory of a node."""
+    size = max(1, comm.size // jobs)
+    need, there = factor_memory(3 * particles), available_memory()
+    while not out_of_core and size < comm.size and need * (comm.size / size) > there:
+        size *= 2
+    return min(comm.bcast(size), int(comm.size))
+
+
+def _solve(
+    job: Job, team: Team, omegas: Array, strain: str, rtol: float, direct: bool, fields_at: Array,
+    report: Report | None, **solver: Any,
+) -> tuple[ComplexModulus, float]:  # fmt: skip
+    start = time.perf_counter()
+    packing: Packing = on_root(team.comm, import_packing, job.file)
+    common: dict[str, Any] = {
+        "damping": job.law, "strain": strain, "prestress": job.prestress, "comm": team.comm,
+        "name": job.file.stem, "progress": report,
+    }  # fmt: skip
+    with naming(job.file):
+        if direct:
+            result = complex_modulus(packing, omegas, fields_at=fields_at, **common)
+        else:
+            span = float(omegas.min()), float(omegas.max())
+            model = spectrum(packing, span, rtol=rtol, displacements=len(fields_at) > 0, **common, **solver)
+            result = model.sample(omegas, fields_at)
+    return result, time.perf_counter() - start
+
+
+def _store(
+    result: ComplexModulus, output: str | PathLike[str], group: str, run: str, keep: bool, shared: bool
+) -> None:
+    """Add a result; the first one of a run that does not keep what is there replaces the file."""
+    with locked(output) if shared else nullcontext():
+        append_modulus(result, output, group, run=run, fresh=not keep and run_of(output) != run)
+
+
+def _line(group: str, g: ComplexModulus, seconds: float) -> str:
+    made = g.performance
+    certificate = f"residual {g.residuals.max():.1e}"
+    if g.model is not None:
+        certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
+    flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
+    return (
+        f"{group}: {made['factorisations']} factorisations, {certificate}, MUMPS {made['mumps_MB']:.0f} MB, "
+        f"{flops}{seconds:.1f} s"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """G* over packings on a common grid. Units as those of the moduli.
+
+    Attributes
+    ----------
+    omega : (W,)
+    mean : (W,) complex
+    scatter : (W,) complex
+        Standard deviations of G′ and of G″ over packings.
+    error : (W,) complex
+        Standard errors of the two means.
+    count : int
+        Packings that were averaged.
+    excluded : tuple of str
+        Packings that were not, being unstable.
+    """
+
+    omega: Array
+    mean: NDArray[np.complex128]
+    scatter: NDArray[np.complex128]
+    error: NDArray[np.complex128]
+    count: int
+    excluded: tuple[str, ...] = ()
+
+
+def average(
+    results: Mapping[str, ComplexModulus], omegas: ArrayLike | None = None, *, unstable: bool = False
+) -> Average:
+    """Average G* over ``results`` of one law, at ``omegas`` or, left out, on their common grid.
+
+    Packings that are unstable are left out, unless ``unstable``; ``excluded`` names them.
+
+    Raises
+    ------
+    InputError
+        If nothing is left, settings differ, or a result knows nothing of a frequency that is asked for.
+    """
+    kept = {name: g for name, g in results.items() if unstable or g.stable}
+    if not kept:
+        raise InputError(f"average: none of {len(results)} packings is stable")
+    if len({(g.damping, g.strain, g.prestress) for g in kept.values()}) > 1:
+        raise InputError("average: the results have different laws, strains or pre-stress")
+    first = next(iter(kept.values()))
+    omega = first.omega if omegas is None else np.atleast_1d(np.asarray(omegas, dtype=float))
+    values = np.array([_at(name, g, omega) for name, g in kept.items()])
+    n = len(values)
+    several = n > 1
+    scatter = np.full(len(omega), np.nan + 1j * np.nan)
+    if several:
+        scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
+    return Average(omega, values.mean(0), scatter, scatter / np.sqrt(n), n, tuple(set(results) - set(kept)))
+
+
+def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:
+    if np.array_equal(g.omega, omega):
+        return g.values
+    if g.model is None or omega.min() < g.model.span[0] or omega.max() > g.model.span[1]:
+        raise InputError(f"average: {name} is not known on this grid")
+    return g.model(omega)
