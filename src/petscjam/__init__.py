@@ -26,6 +26,7 @@ _WHERE = {
     "complex_modulus": "response.moduli",
     "Spectrum": "response.spectrum",
     "spectrum": "response.reduced",
+    "beta_family": "response.family",
     "average": "ensemble",
     "elastic_constants": "response.moduli",
     "write_spectrum": "io.results",

@@ -6,9 +6,9 @@ Axes: w frequency.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,35 +18,46 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array
-from petscjam.damping import DampingLaw
+from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.errors import InputError, SolverError
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_modulus, done, group_name, run_of
+from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.solver import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.progress import Report, part
+from petscjam.response.family import beta_family
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import ComplexModulus
 from petscjam.storage import check_output, locked, naming, unlock
 
+FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
+
 
 @dataclass(frozen=True)
 class Job:
-    """A modulus to find: of a packing (a file), under a law; ``group`` names the result."""
+    """Moduli to find from one model: of a packing (a file), with or without pre-stress, under some laws.
+
+    Attributes
+    ----------
+    file : Path
+    particles : int
+    groups : dict
+        The name of the result for each law. Several laws differ in β alone, or in ηF alone.
+    prestress : bool
+    """
 
     file: Path
     particles: int
-    group: str
-    law: DampingLaw
+    groups: dict[DampingLaw, str]
     prestress: bool
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What a result that exists must have been made with."""
-        return {"damping": str(self.law), "prestress": self.prestress}
+    def without(self, there: set[str]) -> Job:
+        """Return what is left where the results ``there`` exist already."""
+        return replace(self, groups={law: name for law, name in self.groups.items() if name not in there})
 
 
 def sweep(
@@ -87,14 +98,19 @@ def sweep(
             if not file.exists():
                 raise InputError(f"{file}: no such file")
         check_output(output, overwrite=overwrite or resume, inputs=files)
-        jobs = list(_jobs(files, laws, prestress))
+        jobs = list(_jobs(files, laws, prestress, together=not direct))
         there = set()
         if resume and Path(output).exists():
-            there = done(output, {job.group: job.settings for job in jobs}, strain, omegas, fields_at)
+            wanted = {
+                name: {"damping": str(law), "prestress": job.prestress}
+                for job in jobs
+                for law, name in job.groups.items()
+            }
+            there = done(output, wanted, strain, omegas, fields_at)
         return jobs, there
 
     jobs, there = on_root(comm, plan)
-    jobs = [job for job in jobs if job.group not in there]
+    jobs = [job for job in (job.without(there) for job in jobs) if job.groups]
     run = comm.bcast(uuid4().hex)
     failures: list[str] = []
     if jobs:
@@ -102,38 +118,54 @@ def sweep(
         with teams(comm, min(size, comm.size)) as team:
             mine = team.deal(jobs, lambda job: job.particles)
             for k, job in enumerate(mine):
-                report = part(progress, k, len(mine), f"{job.group}: ") if progress else None
+                report = part(progress, k, len(mine), f"{job.file.stem}: ") if progress else None
+                start = time.perf_counter()
                 try:
-                    result, seconds = _solve(
+                    for name, result in _solve(
                         job, team, omegas, strain, rtol, direct, fields_at, report,
                         out_of_core=out_of_core, block_low_rank=block_low_rank,
-                    )  # fmt: skip
-                    on_root(team.comm, _store, result, output, job.group, run, resume, team.count > 1)
+                    ):  # fmt: skip
+                        on_root(team.comm, _store, result, output, name, run, resume, team.count > 1)
+                        if team.comm.rank == 0:
+                            log(_line(name, len(job.groups), result, time.perf_counter() - start))
+                        start = time.perf_counter()
                 except (InputError, SolverError) as error:  # the same on all ranks of the team
-                    failures += [str(error)] * (team.comm.rank == 0)
                     if len(jobs) == 1:
                         raise
-                    continue
-                if team.comm.rank == 0:
-                    log(_line(job.group, result, seconds))
+                    failures += [str(error)] * (team.comm.rank == 0)
     everyone = comm.allgather(failures)
     if jobs and comm.rank == 0:
         unlock(output)
     return [text for rank in everyone for text in rank]
 
 
-def _jobs(files: Sequence[Path], laws: Sequence[DampingLaw], prestress: Sequence[bool]) -> Iterable[Job]:
-    """Name every job: the packing, its checksum, and the law and pre-stress where these differ."""
+def _jobs(
+    files: Sequence[Path], laws: Sequence[DampingLaw], prestress: Sequence[bool], *, together: bool
+) -> Iterator[Job]:
+    """Name every result: by packing and checksum, and by law and pre-stress where there are several.
+
+    ``together`` gives the laws that one model can serve to one job.
+    """
+    sets: dict[Any, list[DampingLaw]] = {}
+    for law in dict.fromkeys(laws):
+        alike: Any = law
+        if together and isinstance(law, ContactDamping) and law.beta > 0:
+            alike = ContactDamping, law.rotations
+        elif together and isinstance(law, StokesDrag):
+            alike = StokesDrag
+        sets.setdefault(alike, []).append(law)
     seen = set()
     for file in files:
         packing = import_packing(file)
-        for law in laws:
-            for kept in prestress:
-                group = group_name(packing, file.stem)
-                group += f" {law}" * (len(laws) > 1) + (" with", " without")[not kept] * (len(prestress) > 1)
-                if group not in seen:
-                    seen.add(group)
-                    yield Job(file, len(packing), group, law, kept)
+        name = group_name(packing, file.stem)
+        if name in seen:
+            continue
+        seen.add(name)
+        for kept in prestress:
+            tag = (" with pre-stress" if kept else " without pre-stress") if len(prestress) > 1 else ""
+            for alike in sets.values():
+                groups = {law: name + f" {law}" * (len(laws) > 1) + tag for law in alike}
+                yield Job(file, len(packing), groups, kept)
 
 
 def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
@@ -148,21 +180,34 @@ def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
 def _solve(
     job: Job, team: Team, omegas: Array, strain: str, rtol: float, direct: bool, fields_at: Array,
     report: Report | None, **solver: Any,
-) -> tuple[ComplexModulus, float]:  # fmt: skip
-    start = time.perf_counter()
+) -> Iterator[tuple[str, ComplexModulus]]:  # fmt: skip
+    """Yield the results of ``job`` by name."""
     packing: Packing = on_root(team.comm, import_packing, job.file)
     common: dict[str, Any] = {
-        "damping": job.law, "strain": strain, "prestress": job.prestress, "comm": team.comm,
-        "name": job.file.stem, "progress": report,
+        "strain": strain, "prestress": job.prestress, "comm": team.comm, "name": job.file.stem,
+        "progress": report,
     }  # fmt: skip
+    first = next(iter(job.groups))
     with naming(job.file):
         if direct:
-            result = complex_modulus(packing, omegas, fields_at=fields_at, **common)
+            result = complex_modulus(packing, omegas, damping=first, fields_at=fields_at, **common)
+            yield job.groups[first], result
+            return
+        span = float(omegas.min()), float(omegas.max())
+        common.update(rtol=rtol, displacements=len(fields_at) > 0, **solver)
+        if isinstance(first, ContactDamping) and len(job.groups) >= FAMILY and span[0] < span[1]:
+            betas = [law.tangential for law in job.groups]
+            member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
+            for law, name in job.groups.items():
+                yield name, member(law.tangential).sample(omegas, fields_at)
+        elif isinstance(first, StokesDrag) and strain_mode(strain).shears_fluid:
+            # the fluid adds to |G*|: the least of it asks most of the model
+            model = spectrum(packing, span, damping=min(job.groups, key=lambda law: law.fluid), **common)
+            for law, name in job.groups.items():
+                yield name, model.with_fluid(law.fluid).sample(omegas, fields_at)
         else:
-            span = float(omegas.min()), float(omegas.max())
-            model = spectrum(packing, span, rtol=rtol, displacements=len(fields_at) > 0, **common, **solver)
-            result = model.sample(omegas, fields_at)
-    return result, time.perf_counter() - start
+            for law, name in job.groups.items():
+                yield name, spectrum(packing, span, damping=law, **common).sample(omegas, fields_at)
 
 
 def _store(
@@ -173,14 +218,17 @@ def _store(
         append_modulus(result, output, group, run=run, fresh=not keep and run_of(output) != run)
 
 
-def _line(group: str, g: ComplexModulus, seconds: float) -> str:
+def _line(group: str, laws: int, g: ComplexModulus, seconds: float) -> str:
     made = g.performance
     certificate = f"residual {g.residuals.max():.1e}"
     if g.model is not None:
         certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
+    shared = (
+        f" for {laws} laws" if g.model and (g.model.estimate or laws > 1 and "fluid" in g.damping) else ""
+    )
     flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
     return (
-        f"{group}: {made['factorisations']} factorisations, {certificate}, MUMPS {made['mumps_MB']:.0f} MB, "
+        f"{group}: {made['factorisations']} factorisations{shared}, {certificate}, MUMPS {made['mumps_MB']:.0f} MB, "
         f"{flops}{seconds:.1f} s"
     )
 

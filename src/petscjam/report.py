@@ -129,15 +129,14 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
     for g in results.values():
         if g.stable:
             alike.setdefault((g.packing["particles"], f"{g.packing['pressure']:.1e}"), []).append(g)
-    for (n, p), some in alike.items():
+    for (n, pressure), some in alike.items():
         if len(some) > 1:
             for label, take in ((f"mean of {len(some)} stable", np.mean), ("± its error", _error)):
-                limits = (
-                    take([getattr(g, name) for g in some]) for name in ("G0", "eta0", "G_inf", "eta_inf")
-                )
+                names = ("G0", "eta0", "G_inf", "eta_inf")
+                means = [float(take([getattr(g, name) for g in some])) for name in names]
                 lines.append(
-                    f"{label:{width}} {n:7d} {'':8} {p:>9} {'':6} "
-                    + " ".join(f"{_value(float(x)):>12}" for x in limits)
+                    f"{label:{width}} {n:7d} {'':8} {pressure:>9} {'':6} "
+                    + " ".join(f"{_value(x):>12}" for x in means)
                 )
     return "\n".join(lines)
 

@@ -24,47 +24,99 @@ from petscjam.response.dofs import Dofs
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
-    """The pair (K, B) on the unknowns of ``dofs``.
+    """The pair (K, B) on the unknowns of ``dofs``, and further forms beside it.
 
     Attributes
     ----------
-    K, B, A : PETSc.Mat
-        ``A`` holds the latest combination, on the same pattern.
-    k, b : (local rows, S)
-        This rank's rows of K_uγ and B_uγ.
+    forms : tuple of Form
+        K, B, ….
+    matrices : tuple of PETSc.Mat
+        One for each form, all on one pattern.
+    A : PETSc.Mat
+        The latest combination, on the same pattern.
+    pulls : tuple of (local rows, S) arrays
+        This rank's rows of K_uγ, B_uγ, ….
+    vectors : (PETSc.Vec, PETSc.Vec)
+        To work with: a column and a row of A.
     """
 
     dofs: Dofs
-    K: Any
-    B: Any
+    forms: tuple[Form, ...]
+    matrices: tuple[Any, ...]
     A: Any
-    k: NDArray
-    b: NDArray
+    pulls: tuple[NDArray, ...]
+    vectors: tuple[Any, Any]
 
-    def combine(self, stiffness: complex, friction: complex) -> Any:
-        """Fill A with ``stiffness``·K + ``friction``·B."""
+    @property
+    def K(self) -> Any:
+        """The stiffness matrix."""
+        return self.matrices[0]
+
+    @property
+    def B(self) -> Any:
+        """The friction matrix."""
+        return self.matrices[1]
+
+    @property
+    def k(self) -> NDArray:
+        """Rows of K_uγ that belong to this rank."""
+        return self.pulls[0]
+
+    @property
+    def b(self) -> NDArray:
+        """Rows of B_uγ that belong to this rank."""
+        return self.pulls[1]
+
+    def combine(self, *coefficients: complex) -> Any:
+        """Fill A with the sum of the matrices, each times its coefficient."""
         same = petsc().Mat.Structure.SAME_NONZERO_PATTERN
-        self.K.copy(self.A, structure=same)
-        self.A.scale(stiffness)
-        self.A.axpy(friction, self.B, structure=same)
+        self.matrices[0].copy(self.A, structure=same)
+        self.A.scale(coefficients[0])
+        for coefficient, matrix in zip(coefficients[1:], self.matrices[1:], strict=True):
+            self.A.axpy(coefficient, matrix, structure=same)
         return self.A
 
 
 @contextmanager
-def assembled(K: Form, B: Form, dofs: Dofs, comm: Any) -> Iterator[Pencil]:
-    """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context."""
+def assembled(K: Form, B: Form, dofs: Dofs, comm: Any, *further: Form) -> Iterator[Pencil]:
+    """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context.
+
+    ``further`` forms must have no entry where K + iB has none.
+    """
     start, stop = dofs.rows_of(comm.rank)
     with stage("assemble"):
         K_rows, k = _own_rows(K, dofs, start, stop)
         B_rows, b = _own_rows(B, dofs, start, stop)
         both = (K_rows + 1j * B_rows).tocsr()  # K and B are real: as K + iB they share one pattern
         both.sort_indices()
-        stiffness, friction, combination = (
+        values, pulls = [both.data.real, both.data.imag], [k, b]
+        for form in further:
+            rows, pull = _own_rows(form, dofs, start, stop)
+            values.append(_on_pattern(rows, both))
+            pulls.append(pull)
+        *matrices, combination = (
             symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm)
-            for part in (both.data.real, both.data.imag, both.data)
+            for part in (*values, both.data)
         )
-    with destroying(stiffness, friction, combination):
-        yield Pencil(dofs, stiffness, friction, combination, k, b)
+        vectors = combination.createVecs()
+    with destroying(*matrices, combination, *vectors):
+        yield Pencil(dofs, (K, B, *further), tuple(matrices), combination, tuple(pulls), vectors)
+
+
+def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray:
+    """Return the values of ``rows`` at the entries of ``pattern``, which has all of theirs."""
+    width = rows.shape[1]
+    places, wanted = (
+        np.repeat(np.arange(part.shape[0]) * width, np.diff(part.indptr)) + part.indices
+        for part in (rows, pattern)
+    )
+    here = np.searchsorted(wanted, places).clip(max=max(len(wanted) - 1, 0))
+    kept = wanted[here] == places if len(wanted) else np.zeros(len(places), dtype=bool)
+    if rows.data[~kept].any():
+        raise ValueError("a form has entries outside the pattern of K + iB")
+    values = np.zeros(len(wanted))
+    values[here[kept]] = rows.data[kept]
+    return values
 
 
 def _own_rows(form: Form, dofs: Dofs, start: int, stop: int) -> tuple[csr_array, NDArray]:

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from petscjam.box import Array
 from petscjam.damping import DampingLaw, law_or_default
 from petscjam.errors import InputError
-from petscjam.kinematics import Motion, strain_mode
+from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve, total
+from petscjam.parallel.comm import resolve
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
-from petscjam.response.dofs import free_motions, sees
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, agree, describe
 from petscjam.response.spectrum import Spectrum
 
@@ -35,7 +35,6 @@ PER_DECADE = 32  # frequencies at which the certificate is asked for
 EVERY = 4  # and every so many of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
 MOST_NODES = 40
-NEW = 1e-10  # part of a vector outside the others, below which it is rounding
 PLATEAU = 1e-3  # distance of a limit from the end of the span, relative, above which it is solved for
 SILENT = 1e-13  # residual, relative to the forcing, below which there is no more to learn
 
@@ -177,135 +176,51 @@ class _Node:
     forces: Complex
 
 
-class _Projection:
-    """Motions, and the pencil between them; one factor at a time lives in ``solver``."""
+class _Projection(Motions):
+    """Motions from nodes of one pencil (K, B), and what bounds the error they leave."""
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
-        self.problem, self.pencil, self.solver = problem, pencil, solver
-        self.k, self.b = pencil.k[:, 0], pencil.b[:, 0]
-        self.forcing = (float(self._norm(self.k)), float(self._norm(self.b)))
-        self.residual = 0.0
+        super().__init__(problem, pencil, solver)
         self.nodes: list[_Node] = []
-        self.offset: Array | None = None
-        self.blocks: list[Array] = []  # (n, ≤ 4) each, orthonormal together
-        self.K = self.B = np.zeros((0, 0))
-        self._vectors = pencil.K.createVecs()
-        self._free = self._unseen_by_K()
-
-    # ---- nodes
+        self.forcing = self.norm(pencil.k), self.norm(pencil.b)
 
     def add(self, omega: float, order: int) -> None:
         """Factor K + iωB, and add q and its derivatives below ``order`` to the motions."""
+        k, b = self.pulls
         self.solver.factor(self.pencil.combine(1, 1j * omega))
-        q = self._solve(-(self.k + 1j * omega * self.b), drag=self.b)
-        Bq = self._apply(self.pencil.B, q)
-        if self.offset is None:
-            self._start(q.real)
-            new = [q.imag]
-        else:
-            new = [q.real - self.offset, q.imag]
-        top = self._solve(self.b + Bq)
-        forces = self.b + Bq
+        q = self.solve(-(k + 1j * omega * b), drag=b)
+        new = self.beside(q)
+        forces = b + self.apply(self.pencil.B, q)
+        top = self.solve(forces)
         for _ in range(order - 1):
             new += [top.real, top.imag]
-            forces = self._apply(self.pencil.B, top)
-            top = self._solve(forces)
-        self._extend(new)
-        self.nodes.append(_Node(omega, order, top, self._on_motions(forces)))
-
-    def _solve(self, rhs: Complex, drag: Array | float = 0.0) -> Complex:
-        """Solve with the present factor, and take out what only rounding moves.
-
-        K ignores a free motion e that B sees, so eᵀ(Bx + drag) = 0; at low ω rounding would outgrow that.
-        """
-        x, residual = self.solver.solve(rhs)
-        self.residual = max(self.residual, residual)
-        for e, Be, eBe in self._free:
-            x = x - e * ((self._dot(Be, x) + self._dot(e, np.zeros_like(e) + drag)) / eBe)
-        return x
-
-    def _unseen_by_K(self) -> list[tuple[Array, Array, float]]:
-        problem, found = self.problem, []
-        for motion in free_motions(problem.network)[:2]:
-            if sees(problem.B, motion, problem.comm):
-                e = self.pencil.dofs.scatter(motion * problem.active, problem.comm.rank).real
-                Be = self._apply(self.pencil.B, e + 0j).real
-                found.append((e, Be, float(self._dot(e, Be))))
-        return found
-
-    # ---- motions
-
-    def _start(self, q: Array) -> None:
-        """Make q with strain 1 the first motion."""
-        problem = self.problem
-        self.offset = q.copy()
-        Q: Motion = (self.pencil.dofs.gather(q, problem.comm), [1.0])
-        self.K, self.B = (
-            np.array([[problem.product(form, Q, Q).real]]) for form in (problem.K, problem.B)
-        )  # sums over contacts: nothing cancels
-        self._force_K = self.k + self._apply(self.pencil.K, q + 0j).real
-        self._force_B = self.b + self._apply(self.pencil.B, q + 0j).real
-
-    def _extend(self, vectors: list[Array]) -> None:
-        """Add what is new in ``vectors`` to the motions, and its rows to K, B and the nodes."""
-        fresh = self._orthonormal(vectors)
-        if fresh.shape[1] == 0:
-            return
-        products = []
-        for name, matrix, pull in (("K", self.pencil.K, self._force_K), ("B", self.pencil.B, self._force_B)):
-            forces = self._apply_real(matrix, fresh)
-            across = np.vstack([self._dot(pull, fresh), self._on_motions(forces)])
-            own = self._dot(fresh, forces)
-            setattr(self, name, np.block([[getattr(self, name), across], [across.T, (own + own.T) / 2]]))
-            products.append(forces)
+            forces = self.apply(self.pencil.B, top)
+            top = self.solve(forces)
+        products = self.extend(new)
         for node in self.nodes:
-            new = self._dot(products[0] + 1j * node.omega * products[1], node.top)
-            node.forces = np.append(node.forces, new)
-        self.blocks.append(fresh)
-
-    def _orthonormal(self, vectors: list[Array]) -> Array:
-        """Return what is new in ``vectors``, orthogonal to the motions and to each other, as columns."""
-        fresh = np.empty((len(self.k), 0))
-        for vector in vectors:
-            v, size = vector, self._norm(vector)
-            for attempt in range(3):  # the last one after normalising
-                for block in (*self.blocks, fresh):
-                    v = v - block @ self._dot(block, v)
-                left = self._norm(v)
-                if not left > NEW * size:
-                    break
-                if attempt:
-                    v = v / left
-            else:
-                fresh = np.column_stack([fresh, v])
-        return fresh
-
-    def displacements(self) -> Array:
-        """Return the displacements of all motions, (M, N, 2), on every rank."""
-        problem, columns = self.problem, [self.offset, *(v for block in self.blocks for v in block.T)]
-        gathered = (self.pencil.dofs.gather(np.asarray(v, dtype=complex), problem.comm) for v in columns)
-        return np.array([problem.displacement(q).real for q in gathered])
-
-    # ---- the certificate
+            further = self.dot(products[0] + 1j * node.omega * products[1], node.top)
+            node.forces = np.concatenate([node.forces, further])
+        self.nodes.append(_Node(omega, order, top, self.on_motions(forces)))
 
     def model(self, grid: Array) -> dict[str, Any]:
         """Return the arrays of a :class:`Spectrum`: the pencil, the residual, the gains."""
         R = self._direction(grid)
-        KR, BR = self._apply(self.pencil.K, R + 0j).real, self._apply(self.pencil.B, R + 0j).real
-        residual_K = np.concatenate([[self._dot(R, self._force_K)], self._on_motions(KR)])
-        residual_B = np.concatenate([[self._dot(R, self._force_B)], self._on_motions(BR)])
+        KR, BR = self.apply(self.pencil.K, R + 0j).real, self.apply(self.pencil.B, R + 0j).real
+        residual_K = np.concatenate([[self.dot(R, self.forces[0])], self.on_motions(KR)])
+        residual_B = np.concatenate([[self.dot(R, self.forces[1])], self.on_motions(BR)])
         gains = np.zeros(len(self.nodes), dtype=complex)
-        if self._norm(R) > 0:
+        if self.norm(R) > 0:
             for k, node in enumerate(self.nodes):
                 y = self._correction(node)
-                length = self._dot(KR + 1j * node.omega * BR, node.top)
+                length = self.dot(KR + 1j * node.omega * BR, node.top)
                 length = length + (residual_K + 1j * node.omega * residual_B)[1:] @ y
-                gains[k] = self._dot(R, node.top) / length
+                gains[k] = self.dot(R, node.top) / length
         wrong = np.maximum(-gains.real, gains.imag).clip(0) * self.problem.definite  # signs are known there
         with np.errstate(divide="ignore", invalid="ignore"):
             gain_errors = np.where(wrong > 0, wrong / abs(gains), 0.0)
+        K, B = self.reduced
         return {
-            "K": self.K, "B": self.B, "residual_K": residual_K, "residual_B": residual_B, "gains": gains,
+            "K": K, "B": B, "residual_K": residual_K, "residual_B": residual_B, "gains": gains,
             "gain_errors": gain_errors, "nodes": np.array([node.omega for node in self.nodes]),
         }  # fmt: skip
 
@@ -316,85 +231,45 @@ class _Projection:
             return errors
         R = self._R
         for k, node in enumerate(self.nodes):
-            z = node.top + self._combine(self._correction(node))
-            r = self._apply(self.pencil.K, z) + 1j * node.omega * self._apply(self.pencil.B, z)
-            errors[k] = self._norm(r - R * self._dot(R, r)) / self._norm(r)
+            z = node.top + self.combine(self._correction(node))
+            r = self.apply(self.pencil.K, z) + 1j * node.omega * self.apply(self.pencil.B, z)
+            errors[k] = self.norm(r - R * self.dot(R, r)) / self.norm(r)
         return errors
 
     def _correction(self, node: _Node) -> Complex:
         """Return the motions that Galerkin would add to ``node.top``."""
-        A = self.K[1:, 1:] + 1j * node.omega * self.B[1:, 1:]
+        K, B = self.reduced
+        A = K[1:, 1:] + 1j * node.omega * B[1:, 1:]
         return -np.linalg.solve(A, node.forces) if len(A) else np.zeros(0, dtype=complex)
 
     def _direction(self, grid: Array) -> Array:
         """Return R, the direction of the residual at every ω, or zero where there is none."""
         omega = self._loudest(grid)
-        A = self.K + 1j * omega * self.B
+        K, B = self.reduced
+        A = K + 1j * omega * B
         y = -np.linalg.solve(A[1:, 1:], A[1:, 0]) if len(A) > 1 else np.zeros(0, dtype=complex)
-        u = self._combine(y)
-        r = self._force_K + self._apply(self.pencil.K, u)
-        r = r + 1j * omega * (self._force_B + self._apply(self.pencil.B, u))
-        size = self._norm(r)
+        u = self.combine(y)
+        r = self.forces[0] + self.apply(self.pencil.K, u)
+        r = r + 1j * omega * (self.forces[1] + self.apply(self.pencil.B, u))
+        size = self.norm(r)
         if not size > SILENT * np.hypot(self.forcing[0], omega * self.forcing[1]):
             self._R = np.zeros(len(r))
             return self._R
-        R = (r * np.exp(-0.5j * np.angle(self._dot(r, r)))).real
-        for _ in range(2):
-            for block in self.blocks:
-                R = R - block @ self._dot(block, R)
-        self._R = R / self._norm(R)
+        R = (r * np.exp(-0.5j * np.angle(self.dot(r, r)))).real
+        R = self.outside(self.outside(R))
+        self._R = R / self.norm(R)
         return self._R
 
     def _loudest(self, grid: Array) -> float:
         """Return where the residual is largest by its zeros, the nodes, and its poles, those of the model."""
         from scipy.linalg import eigvals
 
+        K, B = self.reduced
         with np.errstate(divide="ignore", invalid="ignore"):
             log = -np.log(np.hypot(self.forcing[0], grid * self.forcing[1]))
-            for rate in eigvals(self.K[1:, 1:], self.B[1:, 1:]) if len(self.K) > 1 else ():
+            for rate in eigvals(K[1:, 1:], B[1:, 1:]) if len(K) > 1 else ():
                 if np.isfinite(rate):
                     log -= np.log(abs(rate + 1j * grid))
             for node in self.nodes:
                 log += node.order * np.log(abs(grid**2 - node.omega**2))
         return float(grid[np.argmax(np.where(np.isfinite(log), log, -np.inf))])
-
-    # ---- distributed vectors
-
-    def _apply(self, matrix: Any, z: Complex) -> Complex:
-        x, y = self._vectors
-        x.array[:] = z
-        matrix.mult(x, y)
-        return y.array.copy()
-
-    def _apply_real(self, matrix: Any, columns: Array) -> Array:
-        """Return ``matrix`` times real columns, two at a time: K and B are real."""
-        out = np.empty_like(columns)
-        for first in range(0, columns.shape[1], 2):
-            pair = columns[:, first : first + 2]
-            product = self._apply(matrix, pair[:, 0] + 1j * pair[:, -1])
-            out[:, first] = product.real
-            if pair.shape[1] == 2:
-                out[:, first + 1] = product.imag
-        return out
-
-    def _combine(self, y: Complex) -> Complex:
-        out, start = np.zeros(len(self.k), dtype=complex), 0
-        for block in self.blocks:
-            part = y[start : start + block.shape[1]]
-            out += block @ part.real + 1j * (block @ part.imag)
-            start += block.shape[1]
-        return out
-
-    def _on_motions(self, force: NDArray) -> NDArray:
-        """Return Vᵀ force, for the motions without strain."""
-        none = np.zeros((0, *force.shape[1:]), dtype=force.dtype)
-        return np.concatenate([none, *(self._dot(block, force) for block in self.blocks)])
-
-    def _dot(self, a: NDArray, b: NDArray) -> Any:
-        """Return aᵀb over all ranks, nothing conjugated."""
-        if np.iscomplexobj(b) and not np.iscomplexobj(a):
-            return total(self.problem.comm, a.T @ b.real + 1j * (a.T @ b.imag))
-        return total(self.problem.comm, a.T @ b)
-
-    def _norm(self, a: NDArray) -> float:
-        return float(np.sqrt(total(self.problem.comm, np.vdot(a, a).real)))

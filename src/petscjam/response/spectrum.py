@@ -78,6 +78,8 @@ class Spectrum:
     prestress : bool
     packing : dict
         Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    estimate : float
+        Error of |G*|, relative, that is only estimated, and part of every error (members of a family).
     notes : tuple of str
     performance : dict
         Ranks, seconds, MUMPS memory (MB) and flops of a factorisation, largest residual of a solve.
@@ -108,6 +110,7 @@ class Spectrum:
     damping: DampingLaw
     prestress: bool
     packing: dict[str, Any]
+    estimate: float = 0.0
     notes: tuple[str, ...] = ()
     performance: dict[str, Any] = field(default_factory=dict)
     motions: Array | None = None
@@ -131,7 +134,8 @@ class Spectrum:
         omega = np.asarray(omegas, dtype=float)
         w = omega.ravel()
         storage, loss = self._rounding(w)
-        return ((self._truncation(w) + np.hypot(storage, loss)) / abs(self._modulus(w))).reshape(omega.shape)
+        absolute = self._truncation(w) + np.hypot(storage, loss)
+        return (self.estimate + absolute / abs(self._modulus(w))).reshape(omega.shape)
 
     def truncation(self, omegas: ArrayLike) -> Array:
         """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
@@ -146,14 +150,15 @@ class Spectrum:
         G = self._modulus(w)
         square = self._residual(w) ** 2
         rise, fall = self._gain_parts(w)
-        whole, rounding = self._truncation(w), self._rounding(w)
+        whole, rounding = self._truncation(w) + self.estimate * abs(G), self._rounding(w)
         least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
         parts = []
         for part, first, second, rounded in (
             (abs(G.real), rise, fall, rounding[0]),
             (abs(G.imag), fall, rise, rounding[1]),
         ):
-            bound = np.minimum(whole, self._scale * (abs(square.real) * first + abs(square.imag) * second))
+            apart = self._scale * (abs(square.real) * first + abs(square.imag) * second)
+            bound = np.minimum(whole, apart + self.estimate * abs(G))
             with np.errstate(divide="ignore", invalid="ignore"):
                 parts.append((bound / part + np.maximum(rounded / part, least)).reshape(omega.shape))
         return parts[0], parts[1]

@@ -1,0 +1,261 @@
+"""One reduced model in (ω, β): contact damping at every β of a range (BT Fig. 4b).
+
+B = (1 − β)B₀ + βB₁ with the friction matrices at β = 0 and 1, so three small matrices do for all β.
+
+Axes: g point of the grid in (ω, β), m motion.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Array
+from petscjam.damping import ContactDamping, viscous_form
+from petscjam.errors import InputError
+from petscjam.kinematics import strain_mode
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve
+from petscjam.parallel.solver import direct_solver
+from petscjam.progress import Report
+from petscjam.response.matrices import assembled
+from petscjam.response.motions import Motions
+from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.spectrum import Spectrum
+
+PER_DECADE = 4, 4  # points of the grid in ω and β
+MOST_NODES = 80
+SOFT = 0.03  # rate above which motions respond ever less
+LATEST = 5  # nodes from which the error is judged
+SAFETY = 10  # times the error that they tell
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """G*(ω) at every β of a range: ``family(beta)`` is a :class:`Spectrum`.
+
+    Its :meth:`Spectrum.error` is an estimate: the square of the residual, times ten times the worst ratio of
+    the true error to it at the latest nodes.
+
+    Attributes
+    ----------
+    betas : (float, float)
+        The range.
+    factorisations : int
+        For all β together.
+    estimate : float
+        Of |ΔG*|/|G*|, over the range and the span.
+    """
+
+    betas: tuple[float, float]
+    factorisations: int
+    estimate: float
+    base: Spectrum
+    B0: Array
+    B1: Array
+    affine: tuple[float, float]
+    rotations: bool
+
+    def __call__(self, beta: float) -> Spectrum:
+        """Return the spectrum at ``beta``.
+
+        Raises
+        ------
+        InputError
+            If ``beta`` is outside the range.
+        """
+        low, high = self.betas
+        if not low <= beta <= high:
+            raise InputError(f"beta = {beta:g} is outside the range of the family, {low:g} to {high:g}")
+        mixed = (1 - beta) * self.affine[0] + beta * self.affine[1]
+        model = replace(
+            self.base, B=(1 - beta) * self.B0 + beta * self.B1, affine=(self.base.affine[0], mixed),
+            damping=ContactDamping(beta, self.rotations),
+        )  # fmt: skip
+        limits, limit_errors = model.own_limits()
+        return replace(model, limits=limits, limit_errors=limit_errors)
+
+
+def beta_family(
+    packing: Packing,
+    betas: tuple[float, float],
+    span: tuple[float, float] = (1e-8, 1e2),
+    *,
+    rotations: bool = True,
+    strain: str = "simple-shear",
+    prestress: bool = True,
+    rtol: float = 1e-6,
+    comm: Any = None,
+    displacements: bool = True,
+    name: str = "packing",
+    progress: Report | None = None,
+    **solver_options: Any,
+) -> Family:
+    """Return G*(ω) under contact damping at every β between ``betas`` from one reduced model in (ω, β).
+
+    Nodes are added where the residual is largest, each with q, ∂q/∂ω and ∂q/∂β, until the error expected at
+    the next node and the true one found there are both below ``rtol``. All products are kept: 6 numbers an
+    unknown and motion.
+
+    Parameters
+    ----------
+    packing : Packing
+    betas : (float, float)
+        Lowest and highest β, above 0.
+    span, strain, prestress, rtol, comm, displacements, name, progress, **solver_options
+        As for :func:`petscjam.spectrum`.
+    rotations : bool
+        As for :class:`ContactDamping`.
+
+    Raises
+    ------
+    InputError, SolverError
+        As :func:`petscjam.spectrum`; or if ``betas`` is not 0 < low < high.
+    """
+    comm, start = resolve(comm), time.perf_counter()
+    agree(comm, packing, tuple(betas), tuple(span), rotations, strain, prestress, rtol)
+    for what, (low, high) in (("betas", betas), ("span", span)):
+        if not 0 < low < high < np.inf:
+            raise InputError(f"{what}: must be 0 < low < high, not {low:g} and {high:g}")
+    if not 1e-10 <= rtol <= 0.1:
+        raise InputError(f"rtol: must be between 1e-10 and 0.1, not {rtol:g}")
+    mode = strain_mode(strain)
+    problem = LinearProblem(packing, ContactDamping(1.0, rotations), [mode], prestress, comm)
+    normal = viscous_form(
+        problem.network, problem.ownership.owner == comm.rank, [mode], ContactDamping(0.0, rotations)
+    )
+    rigid = (np.zeros((len(packing), 3), dtype=complex), np.ones(1))
+    affine = problem.product(normal, rigid, rigid).real, problem.affine[1]
+    dofs = problem.number(problem.active)
+    with (
+        assembled(problem.K, problem.B, dofs, comm, normal) as pencil,
+        direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
+    ):
+        motions = Motions(problem, pencil, solver)
+        grid = np.array(np.meshgrid(*_axes(span, betas), indexing="ij")).reshape(2, -1).T
+        nodes, estimate = _grow(motions, grid, rtol, progress)
+        fields = motions.displacements() if displacements else None
+        K, B1, B0 = motions.reduced
+        performance = {
+            "factorisations": len(nodes), "ranks": comm.size, "unknowns": dofs.size,
+            "mumps_MB": solver.memory, "flops": solver.flops, "residual": motions.residual,
+            "seconds": comm.bcast(time.perf_counter() - start),
+        }  # fmt: skip
+    if not estimate <= rtol:
+        problem.notes.append(f"rtol = {rtol:g} is not met: the estimate is {estimate:.1e}")
+    base = Spectrum(
+        span=(float(span[0]), float(span[1])), rtol=rtol, K=K, B=B1, residual_K=np.zeros(len(K)),
+        residual_B=np.zeros(len(K)), nodes=nodes[:, 0], gains=np.zeros(len(nodes), dtype=complex),
+        gain_errors=np.zeros(len(nodes)), estimate=estimate, limits=np.full((2, 2), np.nan),
+        limit_errors=np.full((2, 2), np.nan), forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
+        affine=problem.affine, area=packing.box.area, pressure=problem.pressure, definite=False,
+        negative_modes=None if problem.modes is None else problem.modes[0], strain=strain,
+        damping=ContactDamping(1.0, rotations), prestress=prestress,
+        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+        performance=performance, motions=fields, geometry=packing if displacements else None,
+    )  # fmt: skip
+    low, high = betas
+    return Family((float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations)
+
+
+def _axes(span: tuple[float, float], betas: tuple[float, float]) -> list[Array]:
+    return [
+        np.geomspace(low, high, 1 + int(np.ceil(each * np.log10(high / low))))
+        for (low, high), each in zip((span, betas), PER_DECADE, strict=True)
+    ]
+
+
+def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:
+    """Add nodes where the residual is largest until the error at a new one is below ``rtol``.
+
+    Returns the nodes (F, 2) and an estimate of the error left on the grid (:class:`Family`).
+    """
+    comm = motions.problem.comm
+    residual = _Residual(motions)
+    nodes: list[Array] = []
+    ratios: list[float] = []
+    for corner in _corners(grid):
+        residual.add(_vectors(motions, *corner))
+        nodes.append(corner)
+    while True:
+        size = residual.squared(grid)
+        here = int(comm.bcast(np.argmax(size)))
+        node = grid[here : here + 1]
+        expected = SAFETY * size[here] * max(ratios[-LATEST:], default=np.inf)
+        before = _energies(motions, node)[0][0]
+        residual.add(_vectors(motions, *node[0]))
+        after = _energies(motions, node)[0][0]
+        true = float(comm.bcast(abs(before / after - 1)))
+        nodes.append(node[0])
+        ratios.append(true / size[here])
+        if progress:
+            done = np.log(np.clip(true, rtol / 10, 1)) / np.log(rtol)
+            progress(float(np.clip(done, 0, 1)), f"{len(nodes)} factorisations, |G*| was within {true:.0e}")
+        if max(true, expected) <= rtol or len(nodes) >= MOST_NODES:
+            left = SAFETY * residual.squared(grid).max() * max(ratios[-LATEST:])
+            return np.array(nodes), float(comm.bcast(left))
+
+
+def _corners(grid: Array) -> Array:
+    low, high = grid.min(0), grid.max(0)
+    return np.array([[w, beta] for w in (low[0], high[0]) for beta in (low[1], high[1])])
+
+
+def _vectors(motions: Motions, omega: float, beta: float) -> list[Array]:
+    """Factor at (ω, β) and return what q, ∂q/∂ω and ∂q/∂β add to the motions."""
+    pencil = motions.pencil
+    _, B1, B0 = pencil.matrices
+    k, b1, b0 = motions.pulls
+    motions.solver.factor(pencil.combine(1, 1j * omega * beta, 1j * omega * (1 - beta)))
+    q = motions.solve(-(k + 1j * omega * (beta * b1 + (1 - beta) * b0)))
+    normal, tangential = b0 + motions.apply(B0, q), b1 + motions.apply(B1, q)
+    by_omega = motions.solve(beta * tangential + (1 - beta) * normal)
+    by_beta = motions.solve(tangential - normal)
+    return [*motions.beside(q), by_omega.real, by_omega.imag, by_beta.real, by_beta.imag]
+
+
+def _energies(motions: Motions, points: Array) -> tuple[NDArray, NDArray]:
+    """Return G*V of the model at ``points`` (G, 2), and the motions (G, M)."""
+    K, B1, B0 = motions.reduced
+    omega, beta = points.T[:, :, None, None]
+    A = K + 1j * omega * (beta * B1 + (1 - beta) * B0)
+    size = np.sqrt(abs(np.einsum("gmm->gm", A)))[:, 1:]
+    Q = np.ones(A.shape[:2], dtype=complex)
+    scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
+    Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+    return np.einsum("gm,gm->g", Q, A[:, :, 0]), Q
+
+
+class _Residual:
+    """‖r‖² anywhere in (ω, β), from the products of all forms with all motions."""
+
+    def __init__(self, motions: Motions) -> None:
+        self.motions = motions
+        self.columns: list[NDArray] = []
+        self.gram = np.zeros((0, 0))
+
+    def add(self, vectors: list[Array]) -> None:
+        """Extend the motions by ``vectors``."""
+        motions = self.motions
+        new = [] if self.columns else [force[:, None] for force in motions.forces]
+        products = motions.extend(vectors)
+        fresh = np.stack(products, axis=2).reshape(len(products[0]), -1)  # forms within a motion
+        fresh = np.hstack([*new, fresh])
+        across = [motions.dot(block, fresh) for block in self.columns]
+        own = motions.dot(fresh, fresh)
+        across_all = np.vstack([np.zeros((0, fresh.shape[1])), *across])
+        self.gram = np.block([[self.gram, across_all], [across_all.T, own]])
+        self.columns.append(fresh)
+
+    def squared(self, grid: Array) -> Array:
+        """Return ‖r‖²/((1 + ω/SOFT)|G*V|) at ``grid`` (G, 2): about proportional to the error of G*."""
+        energy, Q = _energies(self.motions, grid)
+        omega, beta = grid.T
+        c = np.stack([np.ones_like(omega), 1j * omega * beta, 1j * omega * (1 - beta)], axis=1)
+        z = (Q[:, :, None] * c[:, None, :]).reshape(len(grid), -1)
+        square = np.einsum("gi,gi->g", z.conj(), z @ self.gram).real.clip(0)
+        return square / (1 + omega / SOFT) / abs(energy)

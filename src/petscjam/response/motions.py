@@ -1,0 +1,163 @@
+"""Motions that span a reduced model, distributed, and a few matrices between them.
+
+The first one, Q₀, has strain 1; the others have none and are orthonormal.
+
+Axes: n local rows, m motion.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Array
+from petscjam.kinematics import Motion
+from petscjam.parallel.comm import total
+from petscjam.parallel.solver import DirectSolver
+from petscjam.response.dofs import free_motions, sees
+from petscjam.response.matrices import Pencil
+from petscjam.response.problem import LinearProblem
+
+NEW = 1e-10  # part of a vector outside the others, below which it is rounding
+
+Complex = NDArray[np.complex128]
+
+
+class Motions:
+    """A growing basis, and each form of ``pencil`` between its motions; ``solver`` holds one factor.
+
+    Attributes
+    ----------
+    reduced : list of (M, M)
+        Each form between the motions.
+    forces : list of (n,)
+        This rank's rows of each form times Q₀.
+    residual : float
+        Largest residual of a solve.
+    """
+
+    def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
+        self.problem, self.pencil, self.solver = problem, pencil, solver
+        self.pulls = [pull[:, 0] for pull in pencil.pulls]
+        self.reduced: list[Array] = []
+        self.forces: list[Array] = []
+        self.residual = 0.0
+        self._offset: Array | None = None
+        self._blocks: list[Array] = []  # columns, a block for each node: never copied
+        self._free = self._unseen_by_K()
+
+    def solve(self, rhs: Complex, drag: Array | float = 0.0) -> Complex:
+        """Solve with the present factor, and take out what only rounding moves.
+
+        K ignores a free motion e that B sees, so eᵀ(Bx + drag) = 0; at low ω rounding would outgrow that.
+        """
+        x, residual = self.solver.solve(rhs)
+        self.residual = max(self.residual, residual)
+        for e, Be, eBe in self._free:
+            x = x - e * ((self.dot(Be, x) + self.dot(e, np.zeros_like(e) + drag)) / eBe)
+        return x
+
+    def _unseen_by_K(self) -> list[tuple[Array, Array, float]]:
+        problem, found = self.problem, []
+        for motion in free_motions(problem.network)[:2]:
+            if sees(problem.B, motion, problem.comm):
+                e = self.pencil.dofs.scatter(motion * problem.active, problem.comm.rank).real
+                Be = self.apply(self.pencil.B, e + 0j).real
+                found.append((e, Be, float(self.dot(e, Be))))
+        return found
+
+    def beside(self, q: Complex) -> list[Array]:
+        """Return what the response ``q`` at unit strain adds to Q₀; the first one makes Q₀."""
+        if self._offset is not None:
+            return [q.real - self._offset, q.imag]
+        self._offset = q.real.copy()
+        problem = self.problem
+        Q: Motion = (self.pencil.dofs.gather(self._offset, problem.comm), [1.0])
+        for form, matrix, pull in zip(self.pencil.forms, self.pencil.matrices, self.pulls, strict=True):
+            # a sum over contacts, where nothing cancels
+            self.reduced.append(np.array([[problem.product(form, Q, Q).real]]))
+            self.forces.append(pull + self.apply(matrix, self._offset + 0j).real)
+        return [q.imag]
+
+    def extend(self, vectors: list[Array]) -> list[Array]:
+        """Add what is new in ``vectors`` as motions; return each form times these, (n, new)."""
+        fresh = self._orthonormal(vectors)
+        products = [self.apply_real(matrix, fresh) for matrix in self.pencil.matrices]
+        for k, (product, force) in enumerate(zip(products, self.forces, strict=True)):
+            across = np.vstack([self.dot(force, fresh), self.on_motions(product)])
+            own = self.dot(fresh, product)
+            self.reduced[k] = np.block([[self.reduced[k], across], [across.T, (own + own.T) / 2]])
+        self._blocks.append(fresh)
+        return products
+
+    def _orthonormal(self, vectors: list[Array]) -> Array:
+        """Return what is new in ``vectors``, orthogonal to the motions and to each other, as columns."""
+        fresh = np.empty((len(self.pulls[0]), 0))
+        for vector in vectors:
+            v, size = vector, self.norm(vector)
+            for attempt in range(3):  # the last one after normalising
+                v = self.outside(v, fresh)
+                left = self.norm(v)
+                if not left > NEW * size:
+                    break
+                if attempt:
+                    v = v / left
+            else:
+                fresh = np.column_stack([fresh, v])
+        return fresh
+
+    def outside(self, v: Array, *further: Array) -> Array:
+        """Return ``v`` less its part along the motions, and along the columns of ``further``."""
+        for block in (*self._blocks, *further):
+            v = v - block @ self.dot(block, v)
+        return v
+
+    def displacements(self) -> Array:
+        """Return the displacements of all motions, (M, N, 2), on every rank."""
+        problem, columns = self.problem, [self._offset, *(v for block in self._blocks for v in block.T)]
+        gathered = (self.pencil.dofs.gather(np.asarray(v, dtype=complex), problem.comm) for v in columns)
+        return np.array([problem.displacement(q).real for q in gathered])
+
+    def apply(self, matrix: Any, z: Complex) -> Complex:
+        """Return ``matrix`` times ``z``, this rank's rows."""
+        x, y = self.pencil.vectors
+        x.array[:] = z
+        matrix.mult(x, y)
+        return y.array.copy()
+
+    def apply_real(self, matrix: Any, columns: Array) -> Array:
+        """Return ``matrix`` times real columns, two at a time: all matrices are real."""
+        out = np.empty_like(columns)
+        for first in range(0, columns.shape[1], 2):
+            pair = columns[:, first : first + 2]
+            product = self.apply(matrix, pair[:, 0] + 1j * pair[:, -1])
+            out[:, first] = product.real
+            if pair.shape[1] == 2:
+                out[:, first + 1] = product.imag
+        return out
+
+    def combine(self, y: Complex) -> Complex:
+        """Return Σ_m y_m times the motions without strain."""
+        out, start = np.zeros(len(self.pulls[0]), dtype=complex), 0
+        for block in self._blocks:
+            part = y[start : start + block.shape[1]]
+            out += block @ part.real + 1j * (block @ part.imag)
+            start += block.shape[1]
+        return out
+
+    def on_motions(self, force: NDArray) -> NDArray:
+        """Return Vᵀ ``force``, for the motions without strain."""
+        none = np.zeros((0, *force.shape[1:]), dtype=force.dtype)
+        return np.concatenate([none, *(self.dot(block, force) for block in self._blocks)])
+
+    def dot(self, a: NDArray, b: NDArray) -> Any:
+        """Return aᵀb over all ranks, nothing conjugated."""
+        if np.iscomplexobj(b) and not np.iscomplexobj(a):
+            return total(self.problem.comm, a.T @ b.real + 1j * (a.T @ b.imag))
+        return total(self.problem.comm, a.T @ b)
+
+    def norm(self, a: NDArray) -> float:
+        """Return ‖a‖ over all ranks."""
+        return float(np.sqrt(total(self.problem.comm, np.vdot(a, a).real)))
