@@ -119,7 +119,7 @@ def sweep(
             mine = team.deal(jobs, lambda job: job.particles)
             for k, job in enumerate(mine):
                 report = part(progress, k, len(mine), f"{job.file.stem}: ") if progress else None
-                start = time.perf_counter()
+                start, nodes = time.perf_counter(), None
                 try:
                     for name, result in _solve(
                         job, team, omegas, strain, rtol, direct, fields_at, report,
@@ -127,8 +127,9 @@ def sweep(
                     ):  # fmt: skip
                         on_root(team.comm, _store, result, output, name, run, resume, team.count > 1)
                         if team.comm.rank == 0:
-                            log(_line(name, len(job.groups), result, time.perf_counter() - start))
-                        start = time.perf_counter()
+                            same = result.model is not None and result.model.nodes is nodes
+                            log(_line(name, result, time.perf_counter() - start, same=same))
+                        start, nodes = time.perf_counter(), result.model and result.model.nodes
                 except (InputError, SolverError) as error:  # the same on all ranks of the team
                     if len(jobs) == 1:
                         raise
@@ -218,18 +219,15 @@ def _store(
         append_modulus(result, output, group, run=run, fresh=not keep and run_of(output) != run)
 
 
-def _line(group: str, laws: int, g: ComplexModulus, seconds: float) -> str:
+def _line(group: str, g: ComplexModulus, seconds: float, *, same: bool) -> str:
     made = g.performance
     certificate = f"residual {g.residuals.max():.1e}"
     if g.model is not None:
         certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
-    shared = (
-        f" for {laws} laws" if g.model and (g.model.estimate or laws > 1 and "fluid" in g.damping) else ""
-    )
     flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
     return (
-        f"{group}: {made['factorisations']} factorisations{shared}, {certificate}, MUMPS {made['mumps_MB']:.0f} MB, "
-        f"{flops}{seconds:.1f} s"
+        f"{group}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
+        f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
     )
 
 
