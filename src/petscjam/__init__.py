@@ -19,6 +19,7 @@ _WHERE = {
     "certify": "packing.certify",
     "import_packing": "io.importers",
     "export_packing": "io.exporters",
+    "export_rheology": "io.rheology",
     "ContactNetwork": "network",
     "ContactDamping": "damping",
     "StokesDrag": "damping",

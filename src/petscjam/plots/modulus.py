@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.ensemble import average
 from petscjam.kinematics import strain_mode
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
 from petscjam.report import state
 from petscjam.response.result import ComplexModulus
+from petscjam.response.spectrum import Spectrum
 
 
 def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]) -> None:
@@ -25,15 +27,24 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
     from matplotlib.figure import Figure
 
     pictured = next((g for g in results.values() if len(g.field_omega)), None)
+    only = next(iter(results.values())) if len(results) == 1 else None
+    model = only.model if only else None
+    wide = 11.5 if model else 7.2
     columns = max(3, len(pictured.field_omega)) if pictured else 1
     if pictured:
-        figure = Figure(figsize=(3.4 * columns, 5.2 + 6.6), layout="constrained")
+        figure = Figure(figsize=(max(3.4 * columns, wide), 5.2 + 6.6), layout="constrained")
         halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
         _draw_fields(halves[1], pictured)
     else:
-        figure = Figure(figsize=(7.2, 5.2), layout="constrained")
+        figure = Figure(figsize=(wide, 5.2), layout="constrained")
         halves = [figure]
-    _draw_moduli(halves[0].subplots(), results)
+    if model:
+        panels = halves[0].subplot_mosaic([["G", "error"], ["G", "time"]], width_ratios=[1.7, 1])
+        _draw_moduli(panels["G"], results)
+        _draw_errors(panels["error"], model)
+        _draw_time(panels["time"], model)
+    else:
+        _draw_moduli(halves[0].subplots(), results)
     save(figure, path)
 
 
@@ -44,10 +55,11 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
         omega, G = g.omega[rising], g.values[rising]
         for values, colour, marker in ((G.real, STORAGE, "o"), (G.imag, LOSS, "s")):
             line = axes.loglog(omega, np.where(values > 0, values, np.nan), color=colour, lw=1,
-                               alpha=1 if one else 0.5, ls="-" if g.stable else ":")[0]  # fmt: skip
+                               alpha=1 if one else 0.35, ls="-" if g.stable else ":")[0]  # fmt: skip
             if one:
                 line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
             axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
+    _draw_means(axes, results)
     first = next(iter(results.values()))
     low, high = first.omega.min(), first.omega.max()
     if one:
@@ -75,11 +87,63 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     axes.legend(loc="upper left", frameon=False)
     p, count = first.packing, len(results)
     title = f"{p['particles']} disks, p = {p['pressure']:.3g}" if one else f"{count} packings"
-    title += f"; {first.damping}; {'with' if first.prestress else 'without'} pre-stress; {first.strain}"
+    laws = {g.damping for g in results.values()}
+    title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
+    if len({g.prestress for g in results.values()}) == 1:
+        title += f"; {'with' if first.prestress else 'without'} pre-stress"
+    title += f"; {first.strain}"
     axes.set_title(title, fontsize=10)
     if bad:
         text = state(bad[0]) if one else f"{len(bad)} of {count} packings not stable"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
+
+
+def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
+    """Draw mean ± standard error over stable packings of one size and pressure under one law."""
+    alike: dict[Any, dict[str, ComplexModulus]] = {}
+    for name, g in results.items():
+        if g.stable:
+            kind = (g.damping, g.prestress, g.packing["particles"], f"{g.packing['pressure']:.1e}")
+            alike.setdefault((*kind, tuple(g.omega)), {})[name] = g
+    for some in alike.values():
+        if len(some) < 3:
+            continue
+        mean = average(some)
+        rising = np.argsort(mean.omega)
+        parts = ((np.real, STORAGE), (np.imag, LOSS))
+        for part, colour in parts:
+            centre, error = part(mean.mean)[rising], part(mean.error)[rising]
+            axes.loglog(mean.omega[rising], centre, color=colour, lw=1.8)
+            axes.fill_between(
+                mean.omega[rising], centre - error, centre + error, color=colour, alpha=0.25, lw=0
+            )
+
+
+def _draw_errors(axes: Any, model: Spectrum) -> None:
+    """Draw the bounds on the errors of G*, G′ and G″, and where K + iωB was factored."""
+    omega = np.geomspace(*model.span, 801)
+    storage, loss = model.part_errors(omega)
+    axes.loglog(omega, storage, color=STORAGE, lw=0.8, label="$G'$")
+    axes.loglog(omega, loss, color=LOSS, lw=0.8, label="$G''$")
+    axes.loglog(omega, model.error(omega), color="0.2", lw=1.2, label="$|G^*|$")
+    axes.axhline(model.rtol, color="0.5", ls="--", lw=0.8)
+    axes.plot(model.nodes, np.full(len(model.nodes), 0.03), "|", color="0.2", ms=9, clip_on=False,
+              transform=axes.get_xaxis_transform())  # fmt: skip
+    what = "bound" if model.definite else "estimate"
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=f"{what} on relative error")
+    axes.set_title(f"{model.factorisations} factorisations (ticks)", fontsize=9)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_time(axes: Any, model: Spectrum) -> None:
+    """Draw the relaxation modulus G(t) and the creep compliance J(t)."""
+    t = np.geomspace(1 / model.span[1], 1 / model.span[0], 401)
+    G, J = model.G(t), model.J(t)
+    axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$, units of $k$")
+    axes.loglog(t, np.where(J > 0, J, np.nan), color=LOSS, lw=1.2, label="$J(t)$, units of $1/k$")
+    axes.set(xlabel=r"$t/\tau_1$")
+    axes.set_title("after a step of strain, of stress", fontsize=9)
+    axes.legend(frameon=False, fontsize=8)
 
 
 def _guides(axes: Any, g: ComplexModulus) -> None:

@@ -153,7 +153,7 @@ def beta_family(
         gain_errors=np.zeros(len(nodes)), estimate=estimate, limits=np.full((2, 2), np.nan),
         limit_errors=np.full((2, 2), np.nan), forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
         affine=problem.affine, area=packing.box.area, pressure=problem.pressure, definite=False,
-        negative_modes=None if problem.modes is None else problem.modes[0], strain=strain,
+        negative_modes=problem.negative_modes, strain=strain,
         damping=ContactDamping(1.0, rotations), prestress=prestress,
         packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
         performance=performance, motions=fields, geometry=packing if displacements else None,

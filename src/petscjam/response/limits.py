@@ -54,8 +54,8 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     SolverError
         If K is singular on the pinned backbone.
     """
-    if problem.modes is None or problem.modes[1]:
-        count = "an unknown number of" if problem.modes is None else problem.modes[1]
+    if problem.floppy_modes != 0:
+        count = "an unknown number of" if problem.floppy_modes is None else problem.floppy_modes
         raise SolverError(f"K has {count} floppy modes on the backbone")
     dofs = problem.number(problem.pinned_backbone)
     fields, worst = [], 0.0

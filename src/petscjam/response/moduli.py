@@ -107,7 +107,7 @@ def complex_modulus(
         errors=np.full(len(omega), np.nan), part_errors=np.full((2, len(omega)), np.nan),
         G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
         limit_residuals=np.array([low.residual, high.residual]),
-        negative_modes=None if problem.modes is None else problem.modes[0],
+        negative_modes=problem.negative_modes,
         strain=strain, damping=str(problem.law), prestress=prestress,
         packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
         field_omega=kept, fields=fields, geometry=packing if len(kept) else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -12,8 +12,8 @@ from petscjam.damping import DampingLaw, viscous_form
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import modes
-from petscjam.packing.packing import Packing
+from petscjam.packing.certify import modes, negative_modes
+from petscjam.packing.packing import Certificate, Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
 
@@ -56,18 +56,34 @@ class LinearProblem:
         self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
 
     @cached_property
-    def modes(self) -> tuple[int, int] | None:
-        """Numbers of negative and zero modes of K on the pinned backbone; None, with a note, if unknown.
+    def negative_modes(self) -> int | None:
+        """Number of negative modes of K on the pinned backbone; None, with a note, if unknown.
 
-        A certificate of this very packing says it; otherwise they are counted.
+        Without pre-stress K is a sum of squares. A certificate of this very packing says it, too; otherwise
+        they are counted.
         """
+        if not self.prestress or self._certified.negative_modes == 0:
+            return 0
+        return self._counted(negative_modes, "negative")
+
+    @cached_property
+    def floppy_modes(self) -> int | None:
+        """Number of zero modes, the same way."""
+        certified = self._certified
+        if certified.negative_modes == certified.zero_modes == 0:
+            return 0  # without pre-stress K is stiffer still
+        return self._counted(lambda *which: modes(*which)[1], "zero")
+
+    @property
+    def _certified(self) -> Certificate:
         known = self.packing.certificate
-        if known.checksum == self.packing.checksum and known.negative_modes == known.zero_modes == 0:
-            return 0, 0  # without pre-stress K is stiffer still
+        return known if known.checksum == self.packing.checksum else Certificate()
+
+    def _counted(self, count: Callable[..., int], kind: str) -> int | None:
         try:
-            return on_root(self.comm, modes, self.backbone, self.prestress)
+            return on_root(self.comm, count, self.backbone, self.prestress)
         except SolverError as error:
-            self.notes.append(f"the negative modes could not be counted: {error}")
+            self.notes.append(f"the {kind} modes could not be counted: {error}")
             return None
 
     @property
@@ -78,7 +94,7 @@ class LinearProblem:
     @property
     def definite(self) -> bool:
         """Whether K is known to have no negative mode."""
-        return self.modes is not None and self.modes[0] == 0 and not self.pressed_rattlers
+        return self.negative_modes == 0 and not self.pressed_rattlers
 
     def number(self, active: Mask) -> Dofs:
         """Number the ``active`` (N, 3) degrees of freedom for this communicator."""

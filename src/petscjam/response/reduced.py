@@ -110,7 +110,7 @@ def spectrum(
             Spectrum, span=(low, high), rtol=rtol, limits=np.full((2, 2), np.nan),
             limit_errors=np.full((2, 2), np.nan), forcing=grow.forcing, affine=problem.affine,
             area=packing.box.area, pressure=problem.pressure, definite=problem.definite,
-            negative_modes=None if problem.modes is None else problem.modes[0], strain=strain, damping=law,
+            negative_modes=problem.negative_modes, strain=strain, damping=law,
             prestress=prestress, packing=describe(packing, problem.backbone, name),
         )  # fmt: skip
         model = _until_certified(grow, make, progress)

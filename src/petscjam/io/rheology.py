@@ -1,0 +1,153 @@
+"""G*(ω) and G(t) as text for rheologists' programs. A new format is one entry of :data:`FORMATS`.
+
+``tts`` and ``gt`` are RepTate's: a line of ``key=value;`` pairs, lines of comment, the names of the columns,
+the columns. It calls their units rad/s, s and Pa; here they are 1/τ1, τ1 and the stress of the potential.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from os import PathLike
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from petscjam.box import Array
+from petscjam.errors import InputError
+from petscjam.response.result import ComplexModulus
+from petscjam.response.spectrum import Spectrum
+from petscjam.storage import check_output, write_atomically
+
+PER_DECADE = 10
+
+
+def export_rheology(
+    model_or_modulus: Spectrum | ComplexModulus,
+    path: str | PathLike[str],
+    fmt: str,
+    *,
+    omegas: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write G*(ω) or G(t) to ``path`` as text, with 17 digits.
+
+    Parameters
+    ----------
+    model_or_modulus : Spectrum or ComplexModulus
+        A modulus keeps its own frequencies unless it has a model and ``omegas`` are given.
+    path : path
+    fmt : str
+        ``tts``: ω, G′, G″ for RepTate. ``gt``: t, G(t) for RepTate. ``csv``: ω, G′, G″ and, where they are
+        known, the bounds on |ΔG′|/|G′| and |ΔG″|/|G″|.
+    omegas : (W,) array_like
+        Angular frequencies, 1/τ1. Left out: 10 a decade over the span of the model.
+    times : (T,) array_like
+        Times ≥ 0, τ1. Left out: 10 a decade from the inverse of the highest frequency of the span to that of
+        the lowest.
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        If the format is unknown, frequencies or times are bad or not for this format, there is no reduced
+        model where one is needed, or ``path`` exists (unless ``overwrite``) or cannot be written.
+    """
+    if fmt not in FORMATS:
+        raise InputError(f"export: {fmt!r} is unknown; known are {', '.join(FORMATS)}")
+    for name, given, formats in (("omegas", omegas, ("tts", "csv")), ("times", times, ("gt",))):
+        if given is not None and fmt not in formats:
+            raise InputError(f"{name}: {fmt} has none")
+    check_output(path, overwrite=overwrite)
+    write_atomically(path, FORMATS[fmt](model_or_modulus, times if fmt == "gt" else omegas))
+
+
+def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
+    """Return ω, G′, G″ as RepTate's application LVE reads them."""
+    modulus = _sampled(source, omegas)
+    lines = [
+        _parameters(modulus, Mw=0, T=0),
+        _setting(modulus),
+        f"# frequencies in 1/tau1, {_moduli(modulus)}",
+    ]
+    columns = [modulus.omega, modulus.values.real, modulus.values.imag]
+    return _text([*lines, "w\tG'\tG''"], columns, "\t")
+
+
+def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> bytes:
+    """Return t, G(t) as RepTate's application Gt reads them. It divides by ``gamma``: here 1."""
+    model = _model(source, "G(t)")
+    t = _decades(1 / model.span[1], 1 / model.span[0]) if times is None else _times(times)
+    lines = [_parameters(model, Mw=0, gamma=1), _setting(model), f"# times in tau1, {_moduli(model)}"]
+    impulse = f"# at the step itself comes {model.eta_inf!r} delta(t) besides"
+    return _text([*lines, impulse, "t\tGt"], [t, model.G(t)], "\t")
+
+
+def csv(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
+    """Return ω, G′, G″ and, where they are known, their errors, separated by commas; # starts a comment."""
+    modulus = _sampled(source, omegas)
+    names = ["omega", "G_storage", "G_loss"]
+    columns = [modulus.omega, modulus.values.real, modulus.values.imag]
+    units = f"# omega in 1/tau1, {_moduli(modulus)}"
+    if modulus.model is not None:
+        names += ["error_storage", "error_loss"]
+        columns += [*modulus.part_errors]
+        proved = modulus.model.definite and not modulus.model.estimate
+        units += f", errors relative: {'bounds' if proved else 'estimates'}"
+    lines = [f"# {_parameters(modulus)}", _setting(modulus), units, ",".join(names)]
+    return _text(lines, columns, ",")
+
+
+def _model(source: Spectrum | ComplexModulus, what: str) -> Spectrum:
+    model = source.model if isinstance(source, ComplexModulus) else source
+    if model is None:
+        raise InputError(f"{what} needs a reduced model; this modulus was solved for at each frequency")
+    return model
+
+
+def _sampled(source: Spectrum | ComplexModulus, omegas: ArrayLike | None) -> ComplexModulus:
+    if isinstance(source, ComplexModulus) and omegas is None:
+        return source
+    model = _model(source, "G* at other frequencies")
+    return model.sample(_decades(*model.span) if omegas is None else omegas)
+
+
+def _decades(low: float, high: float) -> Array:
+    return np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * np.log10(high / low))))
+
+
+def _times(times: ArrayLike) -> Array:
+    t = np.atleast_1d(np.asarray(times, dtype=float)).ravel()
+    if t.size == 0:
+        raise InputError("times: the range is empty")
+    bad = ~(np.isfinite(t) & (t >= 0))
+    if bad.any():
+        raise InputError(f"times: must be ≥ 0 and finite, not {t[np.argmax(bad)]:g}")
+    return t
+
+
+def _parameters(source: Spectrum | ComplexModulus, **others: int) -> str:
+    """Return ``key=value;`` pairs. RepTate cuts them at every ; and =, and reads the file as Latin-1."""
+    packing = source.packing
+    pairs = {"name": re.sub(r"[^\w.+-]", "_", str(packing["name"]), flags=re.ASCII), **others}
+    pairs |= {key: packing[key] for key in ("particles", "phi", "pressure", "checksum")}
+    return "".join(f"{key}={value};" for key, value in pairs.items())
+
+
+def _setting(source: Spectrum | ComplexModulus) -> str:
+    return f"# {source.strain}, {source.damping}, {'with' if source.prestress else 'without'} pre-stress"
+
+
+def _moduli(source: Spectrum | ComplexModulus) -> str:
+    return f"moduli in force per length of the {source.packing['potential']} potential"
+
+
+def _text(lines: Sequence[str], columns: Sequence[Array], separator: str) -> bytes:
+    rows = (separator.join(f"{x:.16e}" for x in row) for row in zip(*columns, strict=True))
+    return "\n".join([*lines, *rows, ""]).encode("ascii")
+
+
+FORMATS: dict[str, Callable[[Spectrum | ComplexModulus, ArrayLike | None], bytes]] = {
+    "tts": tts, "gt": gt, "csv": csv,
+}  # fmt: skip
