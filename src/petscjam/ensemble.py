@@ -25,7 +25,7 @@ from petscjam.io.results import append_modulus, done, group_name, run_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root
-from petscjam.parallel.solver import available_memory, factor_memory
+from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.progress import Report, part
 from petscjam.response.family import beta_family

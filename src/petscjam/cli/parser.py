@@ -99,11 +99,28 @@ def build_parser() -> Parser:
     p.add_argument("--shear-stabilised", action="store_true", help="of --relax: as for prepare")
     output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
 
-    p = add(known, "export", verbs.export, "write a packing for other programs")
+    p = add(known, "export", verbs.export, "write a packing, or a modulus, for other programs")
     p.add_argument("file", type=Path, metavar="FILE")
-    p.add_argument("--to", default="xyz", metavar="FORMAT",
-                   help="xyz: extended XYZ, for OVITO and ASE; gsd: for HOOMD-blue, OVITO and freud; "
-                        "h5md: for MDAnalysis (default xyz)")  # fmt: skip
+    p.add_argument(
+        "--to",
+        metavar="FORMAT",
+        help="of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and "
+        "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
+        "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); default xyz or csv",
+    )
+    p.add_argument("--group", metavar="NAME", help="which modulus of a file with several")
+    p.add_argument(
+        "--omega",
+        type=frequencies,
+        metavar="RANGE",
+        help="tts, csv: other frequencies than the stored ones, in 1/tau1: A:B:N or A,B,…",
+    )
+    p.add_argument(
+        "--time",
+        type=points,
+        metavar="RANGE",
+        help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
+    )
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)

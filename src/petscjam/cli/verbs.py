@@ -144,19 +144,51 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
 
 
 def export(options: argparse.Namespace, comm: Any) -> None:
-    """Export a packing."""
+    """Export a packing, or a result for rheologists."""
 
     def work() -> None:
+        from petscjam.io.exporters import FORMATS as PICTURES
         from petscjam.io.exporters import export_packing
         from petscjam.io.importers import import_packing
-        from petscjam.storage import check_output
+        from petscjam.io.results import is_result
+        from petscjam.io.rheology import FORMATS as CURVES
+        from petscjam.io.rheology import export_rheology
+        from petscjam.storage import check_output, naming
 
-        target = options.output or options.file.with_suffix(f".{options.to}")
+        curve = is_result(options.file)
+        known, kind = (CURVES, "result") if curve else (PICTURES, "packing")
+        fmt = options.to or ("csv" if curve else "xyz")
+        if fmt not in known:
+            raise InputError(
+                f"export: {options.file} is a {kind}; its formats are {', '.join(known)}, not {fmt}"
+            )
+        target = options.output or options.file.with_suffix(f".{fmt}")
         check_output(target, overwrite=options.overwrite, inputs=[options.file])
-        export_packing(import_packing(options.file), target, options.to, overwrite=options.overwrite)
+        if curve:
+            with naming(options.file):
+                export_rheology(
+                    _one_result(options), target, fmt, omegas=options.omega, times=options.time,
+                    overwrite=options.overwrite,
+                )  # fmt: skip
+        elif options.group or options.omega is not None or options.time is not None:
+            raise InputError("export: --group, --omega and --time go with results")
+        else:
+            export_packing(import_packing(options.file), target, fmt, overwrite=options.overwrite)
         print(target)
 
     on_root(comm, work)
+
+
+def _one_result(options: argparse.Namespace) -> Any:
+    from petscjam.io.results import read_moduli
+
+    results = read_moduli(options.file)
+    if options.group is None and len(results) == 1:
+        return next(iter(results.values()))
+    if options.group not in results:
+        names = "".join(f"\n  {name}" for name in results)
+        raise InputError(f"--group: {options.group or 'left out'}; the file holds{names}")
+    return results[options.group]
 
 
 def packings_of(given: Path) -> list[Path]:

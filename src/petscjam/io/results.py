@@ -69,11 +69,13 @@ def is_result(file: str | PathLike[str]) -> bool:
         if raw.read(8) != HDF5_SIGNATURE:
             return False
     with open_h5(file) as h5:
-        return h5.attrs.get("format") == FORMAT
+        return h5.attrs.get("format") in (FORMAT, FORMAT_MODEL)
 
 
 def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
     """Return every result of ``file`` by the name of its group.
+
+    A file of :func:`write_spectrum` gives one, ten frequencies a decade.
 
     Raises
     ------
@@ -82,6 +84,10 @@ def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
     """
     with open_h5(file) as h5:
         kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
+        if (kind, schema) == (FORMAT_MODEL, SCHEMA):
+            model = _read_model(h5)
+            points = 1 + int(np.ceil(10 * np.log10(model.span[1] / model.span[0])))
+            return {model.packing["name"]: model.sample(np.geomspace(*model.span, points))}
         if (kind, schema) != (FORMAT, SCHEMA):
             raise InputError(f"holds {kind!r} with schema {schema}, not {FORMAT!r} with schema {SCHEMA}")
         return {name: _read(node) for name, node in h5.items()}

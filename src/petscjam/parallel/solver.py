@@ -5,10 +5,8 @@ Symbolic analysis is done once, for the first matrix; every new matrix is factor
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 from numpy.typing import NDArray
@@ -175,23 +173,6 @@ def direct_solver(
     solver = DirectSolver(comm, prefix, definite, out_of_core, block_low_rank)
     with destroying(solver.ksp):
         yield solver
-
-
-def factor_memory(unknowns: int) -> float:
-    """Return about how much memory MUMPS needs to factor a contact network, MB, all ranks together.
-
-    In two dimensions a factor has of the order of n log n entries; the constant is measured
-    (docs/benchmarks.md).
-    """
-    return 120e-6 * unknowns * math.log2(max(unknowns, 2))
-
-
-def available_memory() -> float:
-    """Return the memory of this machine that is free, MB; infinite where it does not say."""
-    with suppress(OSError, ValueError, StopIteration):
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        return int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1024
-    return math.inf
 
 
 def _advice(code: int, factor: Any) -> str:

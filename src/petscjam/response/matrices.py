@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 
 from petscjam.kinematics import Form
 from petscjam.parallel.matrix import symmetric_matrix
+from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, stage
 from petscjam.response.dofs import Dofs
 
@@ -83,24 +84,23 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Any, *further: Form) -> Iterat
 
     ``further`` forms must have no entry where K + iB has none.
     """
-    start, stop = dofs.rows_of(comm.rank)
     with stage("assemble"):
-        K_rows, k = _own_rows(K, dofs, start, stop)
-        B_rows, b = _own_rows(B, dofs, start, stop)
-        both = (K_rows + 1j * B_rows).tocsr()  # K and B are real: as K + iB they share one pattern
-        both.sort_indices()
-        values, pulls = [both.data.real, both.data.imag], [k, b]
-        for form in further:
-            rows, pull = _own_rows(form, dofs, start, stop)
-            values.append(_on_pattern(rows, both))
-            pulls.append(pull)
-        *matrices, combination = (
-            symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm)
-            for part in (*values, both.data)
-        )
-        vectors = combination.createVecs()
-    with destroying(*matrices, combination, *vectors):
-        yield Pencil(dofs, (K, B, *further), tuple(matrices), combination, tuple(pulls), vectors)
+        pencil = _assemble((K, B, *further), dofs, comm)
+    give_back_memory()
+    with destroying(*pencil.matrices, pencil.A, *pencil.vectors):
+        yield pencil
+
+
+def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Any) -> Pencil:
+    start, stop = dofs.rows_of(comm.rank)
+    (K, k), (B, b), *further = (_own_rows(form, dofs, start, stop) for form in forms)
+    both = (K + 1j * B).tocsr()  # K and B are real: as K + iB they share one pattern
+    both.sort_indices()
+    values = [both.data.real, both.data.imag, *(_on_pattern(rows, both) for rows, _ in further)]
+    *matrices, A = (
+        symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm) for part in (*values, both.data)
+    )
+    return Pencil(dofs, forms, tuple(matrices), A, (k, b, *(pull for _, pull in further)), A.createVecs())
 
 
 def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray:

@@ -15,6 +15,7 @@ from petscjam.network import ContactNetwork
 from petscjam.packing.certify import modes, negative_modes
 from petscjam.packing.packing import Certificate, Packing
 from petscjam.parallel.comm import on_root, total
+from petscjam.parallel.memory import give_back_memory
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
 
 
@@ -81,7 +82,9 @@ class LinearProblem:
 
     def _counted(self, count: Callable[..., int], kind: str) -> int | None:
         try:
-            return on_root(self.comm, count, self.backbone, self.prestress)
+            counted = on_root(self.comm, count, self.backbone, self.prestress)
+            give_back_memory()
+            return counted
         except SolverError as error:
             self.notes.append(f"the {kind} modes could not be counted: {error}")
             return None

@@ -146,15 +146,16 @@ def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Repor
     while True:
         model = make(**comm.bcast(grow.model(grid)))
         bound = comm.bcast(model.truncation(grid))
-        if bound.max() <= rtol:
-            model = replace(model, gain_errors=comm.bcast(grow.gain_errors(model)))
+        fresh = candidates[~np.isin(candidates, model.nodes)]
+        last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES
+        if last or bound.max() <= rtol:
+            model = replace(model, gain_errors=comm.bcast(grow.gain_errors()))
             bound = comm.bcast(model.truncation(grid))
         worst = float(bound.max())
         if progress:
             done = np.clip(np.log(max(worst, rtol / 10)) / np.log(rtol), 0, 1) if worst < 1 else 0.0
             progress(float(done), f"{len(grow.nodes)} factorisations, |G*| within {worst:.0e}")
-        fresh = candidates[~np.isin(candidates, model.nodes)]
-        if worst <= rtol or len(fresh) == 0 or len(grow.nodes) == MOST_NODES:
+        if last or worst <= rtol:
             break
         there = np.nan_to_num(model.truncation(fresh), nan=np.inf)
         grow.add(comm.bcast(float(fresh[np.argmax(there)])), order=ORDER)
@@ -224,17 +225,20 @@ class _Projection(Motions):
             "gain_errors": gain_errors, "nodes": np.array([node.omega for node in self.nodes]),
         }  # fmt: skip
 
-    def gain_errors(self, trial: Spectrum) -> Array:
-        """Return for each node the part of its own residual that is not along R: rounding, if small."""
+    def gain_errors(self) -> Array:
+        """Return for each node which part of its residual, or of the loudest, is not along R: rounding."""
         errors = np.zeros(len(self.nodes))
-        if not trial.gains.any():
+        if self.norm(self._R) == 0:
             return errors
-        R = self._R
         for k, node in enumerate(self.nodes):
             z = node.top + self.combine(self._correction(node))
             r = self.apply(self.pencil.K, z) + 1j * node.omega * self.apply(self.pencil.B, z)
-            errors[k] = self.norm(r - R * self.dot(R, r)) / self.norm(r)
+            errors[k] = max(self._astray(r), self._off)
         return errors
+
+    def _astray(self, r: Complex) -> float:
+        """Return ‖r − R(Rᵀr)‖/‖r‖."""
+        return self.norm(r - self._R * self.dot(self._R, r)) / self.norm(r)
 
     def _correction(self, node: _Node) -> Complex:
         """Return the motions that Galerkin would add to ``node.top``."""
@@ -258,6 +262,7 @@ class _Projection(Motions):
         R = (r * np.exp(-0.5j * np.angle(self.dot(r, r)))).real
         R = self.outside(self.outside(R))
         self._R = R / self.norm(R)
+        self._off = self._astray(r)
         return self._R
 
     def _loudest(self, grid: Array) -> float:

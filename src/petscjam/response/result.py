@@ -41,9 +41,9 @@ class ComplexModulus:
     omega : (W,)
         Angular frequencies, 1/τ1.
     values : (W,) complex
-        G′ = Q†KQ/V and G″ = ωQ†BQ/V, per unit strain.
+        Per unit strain: G′ = Q†KQ/V and G″ = ωQ†BQ/V, or the same of the reduced model.
     residuals : (W,)
-        ‖(K + iωB)q − f‖/‖f‖ of each solve.
+        ‖(K + iωB)q − f‖/‖f‖ of each solve, or of the model's q: the error of G* is quadratic in it.
     power_balance : (W,)
         |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V|: zero for an exact solution.
     errors : (W,)

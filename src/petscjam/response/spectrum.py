@@ -58,7 +58,7 @@ class Spectrum:
     gains : (F,) complex
         Rᵀ(K + iω_kB)⁻¹R, R the direction of the residual.
     gain_errors : (F,)
-        How far R at each node is from parallel to R; NaN where rounding has taken its direction.
+        How far from parallel to R rounding has left the residual of each node, 0 … 1.
     limits : (2, 2)
         G0, η0 and G∞, η∞: of the model or, where the span ends too far from a plateau, solved for.
     limit_errors : (2, 2)
@@ -127,7 +127,7 @@ class Spectrum:
         return len(self.nodes)
 
     def error(self, omegas: ArrayLike) -> Array:
-        """Return a bound on |ΔG*|/|G*| at ``omegas``: truncation of the model, and rounding.
+        """Return a bound on |ΔG*|/|G*| at ``omegas``: truncation of the model, and an estimate of rounding.
 
         It holds at any frequency and grows outside ``span``. Where ``definite`` is False it is an estimate.
         """
@@ -241,8 +241,8 @@ class Spectrum:
     def own_limits(self) -> tuple[Array, Array]:
         """Return G0, η0 and G∞, η∞ of the model, (2, 2), and how far each may be off, relatively, (2, 2).
 
-        That is the distance to G′ and G″/ω at the end of the span, and their error there. Relaxations slower
-        or faster than the span, which the model need not know, cannot hide in less.
+        That is the distance to G′ and G″/ω at the end of the span, and their error there: a judgement, not a
+        bound, for the model need not know of relaxations far slower or faster than the span.
         """
         rates, weights, eta_inf = self._maxwell
         G0, ends = self._G0, np.array(self.span)
@@ -277,9 +277,12 @@ class Spectrum:
         law, B, limits = StokesDrag(eta_fluid), self.B.copy(), self.limits.copy()
         more = law.fluid - self.damping.fluid
         B[0, 0] += more * self.area
+        limit_errors = self.limit_errors.copy()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            limit_errors[:, 1] *= abs(limits[:, 1] / (limits[:, 1] + more))
         limits[:, 1] += more
         affine = (self.affine[0], self.affine[1] + more * self.area)
-        return replace(self, B=B, damping=law, limits=limits, affine=affine)
+        return replace(self, B=B, damping=law, limits=limits, limit_errors=limit_errors, affine=affine)
 
     def sample(self, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
         """Return G* on a grid, with errors, and the displacements at ``fields_at``; the model goes along."""

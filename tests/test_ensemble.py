@@ -1,0 +1,283 @@
+"""Many packings and laws: teams, resuming, failures, averages, and one model for a sweep over β or ηF."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import petscjam as pj
+from petscjam.cli import main
+from petscjam.ensemble import average, sweep
+from petscjam.errors import InputError
+from petscjam.parallel.comm import on_root
+
+OMEGA = np.geomspace(1e-4, 10, 6)
+ROUNDING = 1e-10  # of the direct solves that are compared with
+
+
+@pytest.fixture(scope="module")
+def packings(tmp_path_factory):
+    """Return three packings of 64 disks, stable against shear, in a folder of rank 0."""
+    from mpi4py import MPI
+
+    def prepare():
+        folder = tmp_path_factory.mktemp("packings")
+        for seed in (1, 2, 3):
+            pj.prepare_packing(64, 1e-2, seed, shear_stabilised=True).write(folder / f"p{seed}.h5")
+        return sorted(folder.glob("*.h5"))
+
+    return on_root(MPI.COMM_WORLD, prepare)
+
+
+def run(files, output, comm, **options):
+    settings = {"laws": [pj.ContactDamping()], "comm": comm, "log": lambda line: None, **options}
+    return sweep(files, OMEGA, output, **settings)
+
+
+def shared(tmp_path, comm):
+    return comm.bcast(tmp_path / "g.h5")
+
+
+@pytest.mark.parallel(nprocs=[1, 2, 3])
+@pytest.mark.parametrize("team_size", [None, 2])
+def test_every_packing_law_and_prestress_gets_its_modulus(packings, tmp_path, comm, team_size):
+    output = shared(tmp_path, comm)
+    laws = [pj.ContactDamping(), pj.ContactDamping(0.01), pj.StokesDrag()]
+    failures = run(packings, output, comm, laws=laws, prestress=[True, False], team_size=team_size)
+    assert failures == []
+    results = pj.read_moduli(output)
+    assert len(results) == 18
+    comm.barrier()
+    for g in list(results.values())[comm.rank :: comm.size]:
+        file = next(file for file in packings if file.stem == g.packing["name"])
+        law = next(law for law in laws if str(law) == g.damping)
+        exact = pj.complex_modulus(
+            pj.Packing.read(file), OMEGA, damping=law, prestress=g.prestress, comm=_alone()
+        ).values
+        assert (abs(g.values / exact - 1) <= g.errors + ROUNDING).all()
+        assert g.errors.max() <= 1.1e-6
+
+
+def _alone():
+    from mpi4py import MPI
+
+    return MPI.COMM_SELF
+
+
+@pytest.mark.parallel(nprocs=[1, 2])
+def test_a_packing_that_cannot_be_solved_stops_no_other(packings, tmp_path, comm):
+    output = shared(tmp_path, comm)
+    loose = output.with_name("loose.h5")
+    if comm.rank == 0:
+        p = pj.Packing.read(packings[0])
+        pj.Packing(p.positions, p.radii / 2, p.box).write(loose)
+    comm.barrier()
+    failures = run([loose, *packings], output, comm)
+    assert len(failures) == 1
+    assert "loose.h5" in failures[0]
+    assert "no contacts" in failures[0]
+    assert len(pj.read_moduli(output)) == 3
+
+
+def test_one_packing_that_cannot_be_solved_is_an_error(packings, tmp_path, comm):
+    p = pj.Packing.read(packings[0])
+    pj.Packing(p.positions, p.radii / 2, p.box).write(tmp_path / "loose.h5")
+    with pytest.raises(InputError, match="no contacts"):
+        run([tmp_path / "loose.h5"], tmp_path / "g.h5", comm)
+
+
+def test_resume_makes_the_laws_that_are_missing(packings, tmp_path, comm):
+    lines = []
+    laws = [pj.StokesDrag(1.0), pj.StokesDrag(0.5), pj.ContactDamping()]
+    run(packings[:1], tmp_path / "g.h5", comm, laws=laws)
+    run(packings, tmp_path / "g.h5", comm, laws=laws, resume=True, log=lines.append)
+    assert len(lines) == 6
+    assert not [line for line in lines if line.startswith("p1-")]
+    assert len(pj.read_moduli(tmp_path / "g.h5")) == 9
+
+
+def test_resume_refuses_another_law(packings, tmp_path, comm):
+    run(packings[:1], tmp_path / "g.h5", comm)
+    with pytest.raises(InputError, match="stokes"):
+        run(packings, tmp_path / "g.h5", comm, laws=[pj.StokesDrag()], resume=True)
+
+
+@pytest.mark.parallel(nprocs=2)
+def test_overwrite_replaces_all_of_an_older_file(packings, tmp_path, comm):
+    output = shared(tmp_path, comm)
+    run(packings, output, comm)
+    run(packings[:2], output, comm, overwrite=True)
+    assert len(pj.read_moduli(output)) == 2
+    comm.barrier()
+    assert sorted(file.name for file in output.parent.iterdir()) == ["g.h5"]
+
+
+def test_a_line_of_the_log_says_what_it_cost(packings, tmp_path, comm):
+    lines = []
+    run(packings[:1], tmp_path / "g.h5", comm, log=lines.append)
+    g = pj.read_modulus(tmp_path / "g.h5")
+    assert f"{g.performance['factorisations']} factorisations" in lines[0]
+    assert f"certificate {g.errors.max():.1e}" in lines[0]
+    for word in ("MUMPS", "MB", "flops", " s"):
+        assert word in lines[0]
+
+
+def test_direct_moduli_of_several_laws(packings, tmp_path, comm):
+    laws = [pj.ContactDamping(beta) for beta in (0.1, 0.2, 0.3, 0.4)]
+    run(packings[:1], tmp_path / "g.h5", comm, laws=laws, direct=True)
+    results = pj.read_moduli(tmp_path / "g.h5").values()
+    assert {g.damping for g in results} == {str(law) for law in laws}
+    assert all(g.model is None and g.performance["factorisations"] == len(OMEGA) for g in results)
+
+
+# --- averages
+
+
+@pytest.fixture(scope="module")
+def moduli(packings):
+    return {file.stem: pj.spectrum(pj.Packing.read(file), (1e-4, 10.0)).sample(OMEGA) for file in packings}
+
+
+def test_mean_scatter_and_error(moduli):
+    mean = average(moduli)
+    values = np.array([g.values for g in moduli.values()])
+    assert mean.count == 3
+    assert np.allclose(mean.mean, values.sum(0) / 3, rtol=1e-14)
+    deviations = values - values.sum(0) / 3
+    assert np.allclose(mean.scatter.real, np.sqrt((deviations.real**2).sum(0) / 2), rtol=1e-12)
+    assert np.allclose(mean.scatter.imag, np.sqrt((deviations.imag**2).sum(0) / 2), rtol=1e-12)
+    assert np.allclose(mean.error, mean.scatter / 3**0.5, rtol=1e-14)
+
+
+def test_models_average_on_any_common_grid(moduli):
+    omega = np.array([3e-4, 0.7])
+    mean = average(moduli, omega)
+    assert np.allclose(mean.mean, sum(g.model(omega) for g in moduli.values()) / 3, rtol=1e-14)
+
+
+def test_no_average_outside_what_is_known(moduli):
+    with pytest.raises(InputError, match="grid"):
+        average(moduli, [1e3])
+
+
+def test_unstable_packings_are_left_out_and_named(moduli):
+    from dataclasses import replace
+
+    name, g = next(iter(moduli.items()))
+    mixed = {**moduli, name: replace(g, G0=-1.0)}
+    assert average(mixed).excluded == (name,)
+    assert average(mixed).count == 2
+    assert average(mixed, unstable=True).count == 3
+    with pytest.raises(InputError, match="none of 1"):
+        average({name: mixed[name]})
+
+
+def test_different_laws_do_not_average(moduli, packings):
+    other = pj.spectrum(pj.Packing.read(packings[0]), (1e-4, 10.0), damping=pj.StokesDrag()).sample(OMEGA)
+    with pytest.raises(InputError, match="different laws"):
+        average({**moduli, "other": other})
+
+
+# --- a sweep over β
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["pre-stress", "no pre-stress"])
+def family(request, packings):
+    packing = pj.Packing.read(packings[0])
+    return packing, request.param, pj.beta_family(packing, (1e-5, 1e2), prestress=request.param)
+
+
+@pytest.mark.parametrize("beta", [1e-5, 3e-4, 0.02, 0.5, 1.0, 7.0, 100.0])
+def test_a_family_holds_at_every_beta(family, beta):
+    packing, prestress, models = family
+    omega = np.geomspace(1e-8, 1e2, 21)
+    exact = pj.complex_modulus(packing, omega, damping=pj.ContactDamping(beta), prestress=prestress).values
+    s = models(beta)
+    assert (abs(s(omega) / exact - 1) <= s.error(omega) + ROUNDING).all()
+    assert s.error(omega).max() <= 2e-6
+    assert not s.definite  # an estimate
+
+
+def test_a_family_needs_far_fewer_factorisations_than_its_members(family):
+    packing, prestress, models = family
+    betas = np.geomspace(1e-5, 1e2, 8)
+    alone = sum(
+        pj.spectrum(packing, damping=pj.ContactDamping(beta), prestress=prestress).factorisations
+        for beta in betas
+    )
+    assert models.factorisations < alone / 2
+
+
+def test_limits_of_a_family(family):
+    packing, prestress, models = family
+    exact = pj.complex_modulus(packing, [1.0], damping=pj.ContactDamping(0.3), prestress=prestress)
+    s = models(0.3)
+    for ours, theirs in ((s.G0, exact.G0), (s.eta0, exact.eta0), (s.eta_inf, exact.eta_inf)):
+        assert ours == pytest.approx(theirs, rel=1e-6)
+
+
+def test_displacements_of_a_family(family):
+    packing, prestress, models = family
+    field = pj.complex_modulus(
+        packing, [0.1], damping=pj.ContactDamping(0.3), prestress=prestress, fields_at=[0.1]
+    ).fields[0]
+    ours = models(0.3).displacement(0.1)
+    seen = ~np.isnan(field.real)
+    assert abs(ours - field)[seen].max() < 1e-3 * abs(field)[seen].max()
+
+
+def test_a_family_knows_its_range(family):
+    with pytest.raises(InputError, match="outside"):
+        family[2](1e-6)
+
+
+@pytest.mark.parametrize(
+    ("betas", "options"),
+    [((0.0, 1.0), {}), ((1.0, 0.1), {}), ((0.1, 1.0), {"rtol": 0.0}), ((0.1, 1.0), {"span": (1.0, 1.0)})],
+)
+def test_bad_ranges_are_refused(packings, betas, options):
+    with pytest.raises(InputError):
+        pj.beta_family(pj.Packing.read(packings[0]), betas, **options)
+
+
+@pytest.mark.parallel(nprocs=[2, 3])
+def test_a_family_does_not_depend_on_the_ranks(packings, comm):
+    packing = pj.Packing.read(packings[0])
+    ours = pj.beta_family(packing, (1e-2, 1e1), comm=comm)
+    alone = pj.beta_family(packing, (1e-2, 1e1), comm=_alone())
+    omega = np.geomspace(1e-8, 1e2, 11)
+    assert ours.factorisations == alone.factorisations
+    assert abs(ours(0.2)(omega) / alone(0.2)(omega) - 1).max() < 1e-10
+
+
+def test_a_sweep_over_beta_is_one_model(packings, tmp_path):
+    output = tmp_path / "g.h5"
+    assert main(["moduli", str(packings[0]), "--beta", "1e-3:10:5", "-o", str(output)]) == 0
+    results = list(pj.read_moduli(output).values())
+    assert len(results) == 5
+    assert len({tuple(g.model.nodes) for g in results}) == 1
+    assert {g.damping for g in results} == {
+        str(pj.ContactDamping(beta)) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)
+    }
+
+
+def test_all_viscosities_of_the_fluid_are_one_model(packings, tmp_path):
+    output = tmp_path / "g.h5"
+    arguments = [
+        "moduli",
+        str(packings[0]),
+        "--damping",
+        "stokes",
+        "--eta-fluid",
+        "0,1,10",
+        "-o",
+        str(output),
+    ]
+    assert main(arguments) == 0
+    results = list(pj.read_moduli(output).values())
+    assert len({tuple(g.model.nodes) for g in results}) == 1
+    for g in results:
+        exact = pj.complex_modulus(
+            pj.Packing.read(Path(packings[0])), g.omega[::20], damping=g.model.damping
+        ).values
+        assert (abs(g.values[::20] / exact - 1) <= g.errors[::20] + ROUNDING).all()
