@@ -60,6 +60,10 @@ class DampingLaw:
         """Viscosity of the fluid."""
         return 0.0
 
+    def without_fluid(self) -> DampingLaw:
+        """Return the law with the fluid gone: it adds iωηF to G*, and changes nothing else."""
+        return self
+
     def __str__(self) -> str:
         settings = ", ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
         return f"{self.name} ({settings})"
@@ -111,6 +115,10 @@ class StokesDrag(DampingLaw):
     def fluid(self) -> float:
         """ηF."""
         return self.eta_fluid
+
+    def without_fluid(self) -> DampingLaw:
+        """Return the drag alone."""
+        return StokesDrag(0.0)
 
 
 LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}

@@ -163,7 +163,7 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
         If the file is missing, damaged, or holds no reduced model, or several.
     """
     with open_h5(file) as h5:
-        if h5.attrs.get("format") == FORMAT_MODEL:
+        if (h5.attrs.get("format"), h5.attrs.get("schema")) == (FORMAT_MODEL, SCHEMA):
             return _read_model(h5)
     model = read_modulus(file).model
     if model is None:
@@ -210,10 +210,14 @@ def _read_model(node: Any) -> Spectrum:
 
 
 def _values(node: Any, kind: type[ComplexModulus | Spectrum]) -> dict[str, Any]:
-    try:
-        return {item.name: _value(node, item.name) for item in fields(kind)}
-    except KeyError as error:
-        raise InputError(f"{node.name}: {error.args[0]}") from None
+    missing = [item.name for item in fields(kind) if not _has(node, item.name)]
+    if missing:
+        raise InputError(f"{node.name} lacks {', '.join(missing)}")
+    return {item.name: _value(node, item.name) for item in fields(kind)}
+
+
+def _has(node: Any, name: str) -> bool:
+    return name in OPTIONAL or name in node or name in node.attrs
 
 
 def _value(node: Any, name: str) -> Any:

@@ -144,6 +144,17 @@ def sees(B: Form, motion: Field, comm: Any) -> bool:
     return bool(dissipated > 1e-20 * separately)
 
 
+def connected(network: ContactNetwork) -> list[Mask]:
+    """Return the disks (N,) of each piece of the network that hangs together, single disks left out."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(network.radii)
+    graph = coo_array((np.ones(len(network)), (network.i, network.j)), shape=(n, n))
+    piece = connected_components(graph, directed=False)[1]
+    return [piece == label for label in np.flatnonzero(np.bincount(piece) > 1)]
+
+
 def _alternating(network: ContactNetwork) -> NDArray[np.float64]:
     """Return ±1 by the parity of the distance to the first backbone disk, 0 where not connected."""
     from scipy.sparse import coo_array

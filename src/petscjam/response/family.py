@@ -25,6 +25,7 @@ from petscjam.progress import Report
 from petscjam.response.matrices import assembled
 from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.reduced import checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum
 
 PER_DECADE = 4, 4  # points of the grid in ω and β
@@ -118,11 +119,11 @@ def beta_family(
     """
     comm, start = resolve(comm), time.perf_counter()
     agree(comm, packing, tuple(betas), tuple(span), rotations, strain, prestress, rtol)
-    for what, (low, high) in (("betas", betas), ("span", span)):
-        if not 0 < low < high < np.inf:
-            raise InputError(f"{what}: must be 0 < low < high, not {low:g} and {high:g}")
-    if not 1e-10 <= rtol <= 0.1:
-        raise InputError(f"rtol: must be between 1e-10 and 0.1, not {rtol:g}")
+    for what, pair in (("betas", betas), ("span", span)):
+        low, high = checked_span(pair, what)
+        if low == high:
+            raise InputError(f"{what}: must be 0 < low < high, not {low:g} twice")
+    checked_rtol(rtol, 1e-10)
     mode = strain_mode(strain)
     problem = LinearProblem(packing, ContactDamping(1.0, rotations), [mode], prestress, comm)
     normal = viscous_form(

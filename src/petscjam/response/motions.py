@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.box import Array
+from petscjam.errors import SolverError
 from petscjam.kinematics import Motion
 from petscjam.parallel.comm import total
 from petscjam.parallel.solver import DirectSolver
-from petscjam.response.dofs import free_motions, sees
+from petscjam.response.dofs import connected, free_motions, sees
+from petscjam.response.limits import LARGEST_RESIDUAL
 from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
 
@@ -54,16 +56,21 @@ class Motions:
         K ignores a free motion e that B sees, so eᵀ(Bx + drag) = 0; at low ω rounding would outgrow that.
         """
         x, residual = self.solver.solve(rhs)
+        if not residual < LARGEST_RESIDUAL:
+            raise SolverError(f"a solve has residual {residual:.1e}: there are motions that nothing resists")
         self.residual = max(self.residual, residual)
         for e, Be, eBe in self._free:
             x = x - e * ((self.dot(Be, x) + self.dot(e, np.zeros_like(e) + drag)) / eBe)
         return x
 
     def _unseen_by_K(self) -> list[tuple[Array, Array, float]]:
+        """Return translations of connected disks that B sees, B times them, and their friction."""
         problem, found = self.problem, []
         for motion in free_motions(problem.network)[:2]:
-            if sees(problem.B, motion, problem.comm):
-                e = self.pencil.dofs.scatter(motion * problem.active, problem.comm.rank).real
+            if not sees(problem.B, motion, problem.comm):
+                continue
+            for disks in connected(problem.network):
+                e = self.pencil.dofs.scatter(motion * problem.active * disks[:, None], problem.comm.rank).real
                 Be = self.apply(self.pencil.B, e + 0j).real
                 found.append((e, Be, float(self.dot(e, Be))))
         return found

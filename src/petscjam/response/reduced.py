@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from petscjam.box import Array
 from petscjam.damping import DampingLaw, law_or_default
-from petscjam.errors import InputError
+from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import resolve, total
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
@@ -35,8 +35,10 @@ PER_DECADE = 32  # frequencies at which the certificate is asked for
 EVERY = 4  # and every so many of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
 MOST_NODES = 40
+MOST_SPOILED = 3  # times that rounding of the gains may undo a bound that was met
+BEYOND = 1e3  # factor beyond the span, where the residual is looked for, too
 PLATEAU = 1e-3  # distance of a limit from the end of the span, relative, above which it is solved for
-SILENT = 1e-13  # residual, relative to the forcing, below which there is no more to learn
+SILENT = 1e-13  # residual, relative to the forces of the affine motion, below which it is rounding
 
 Complex = NDArray[np.complex128]
 
@@ -93,13 +95,10 @@ def spectrum(
     """
     comm, start = resolve(comm), time.perf_counter()
     agree(comm, packing, tuple(span), damping, strain, prestress, rtol)
-    low, high = (float(end) for end in span)
-    if not 0 < low <= high < np.inf:
-        raise InputError(f"span: frequencies must be 0 < low ≤ high, not {low:g} and {high:g}")
-    if not 1e-12 <= rtol <= 0.1:
-        raise InputError(f"rtol: must be between 1e-12 and 0.1, not {rtol:g}")
+    low, high = checked_span(span)
+    checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)
-    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm)
+    problem = LinearProblem(packing, law.without_fluid(), [strain_mode(strain)], prestress, comm)
     dofs = problem.number(problem.active)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
@@ -114,12 +113,12 @@ def spectrum(
             prestress=prestress, packing=describe(packing, problem.backbone, name),
         )  # fmt: skip
         model = _until_certified(grow, make, progress)
-        limits, limit_errors = model.own_limits()
+        limits, limit_errors = _own_limits(model, problem.notes)
         if not limit_errors[1].max() < PLATEAU:
             found = limit_or_note(
                 lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞"
             )
-            limits[1], limit_errors[1] = (found.G, found.eta), found.residual
+            limits[1], limit_errors[1] = (found.G, found.eta + model.fluid), found.residual
         motions = grow.displacements() if displacements else None
         performance = {
             "factorisations": len(grow.nodes), "ranks": comm.size, "unknowns": dofs.size,
@@ -127,13 +126,42 @@ def spectrum(
         }  # fmt: skip
     if not limit_errors[0].max() < PLATEAU:
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
-        limits[0], limit_errors[0] = (found.G, found.eta), found.residual
+        limits[0], limit_errors[0] = (found.G, found.eta + model.fluid), found.residual
+    elif problem.pressed_rattlers:
+        problem.notes.append(
+            "rattlers are pressed: not in mechanical equilibrium, G0 and η0 are of the model"
+        )
     performance["peak_MB"] = comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     performance["seconds"] = comm.bcast(time.perf_counter() - start)
     return replace(
         model, limits=comm.bcast(limits), limit_errors=comm.bcast(limit_errors), notes=tuple(problem.notes),
         performance=performance, motions=motions, geometry=packing if displacements else None,
     )  # fmt: skip
+
+
+def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, float]:
+    """Return both ends, or refuse what is not 0 < low ≤ high."""
+    try:
+        low, high = (float(end) for end in span)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: must be two numbers, not {span!r}") from None
+    if not 0 < low <= high < np.inf:
+        raise InputError(f"{what}: must be 0 < low ≤ high, not {low:g} and {high:g}")
+    return low, high
+
+
+def checked_rtol(rtol: float, least: float) -> None:
+    """Refuse what is not between ``least`` and 0.1."""
+    if not (isinstance(rtol, int | float) and least <= rtol <= 0.1):
+        raise InputError(f"rtol: must be between {least:g} and 0.1, not {rtol!r}")
+
+
+def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
+    try:
+        return model.own_limits()
+    except SolverError as error:
+        notes.append(f"the relaxations could not be had: {error}")
+        return np.full((2, 2), np.nan), np.full((2, 2), np.nan)
 
 
 def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
@@ -143,19 +171,21 @@ def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Repor
     candidates = grid[EVERY:-EVERY:EVERY] if len(grid) > 2 * EVERY else grid[1:-1]
     for omega in np.unique([low, high]):
         grow.add(omega, order=1)
+    spoiled = 0
     while True:
         model = make(**comm.bcast(grow.model(grid)))
         bound = comm.bcast(model.truncation(grid))
         fresh = candidates[~np.isin(candidates, model.nodes)]
         last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES
         if last or bound.max() <= rtol:
+            spoiled += 1
             model = replace(model, gain_errors=comm.bcast(grow.gain_errors()))
             bound = comm.bcast(model.truncation(grid))
         worst = float(bound.max())
         if progress:
             done = np.clip(np.log(max(worst, rtol / 10)) / np.log(rtol), 0, 1) if worst < 1 else 0.0
             progress(float(done), f"{len(grow.nodes)} factorisations, |G*| within {worst:.0e}")
-        if last or worst <= rtol:
+        if last or worst <= rtol or spoiled == MOST_SPOILED:
             break
         there = np.nan_to_num(model.truncation(fresh), nan=np.inf)
         grow.add(comm.bcast(float(fresh[np.argmax(there)])), order=ORDER)
@@ -184,6 +214,10 @@ class _Projection(Motions):
         super().__init__(problem, pencil, solver)
         self.nodes: list[_Node] = []
         self.forcing = self.norm(pencil.k), self.norm(pencil.b)
+        self._sizes = [
+            np.sqrt(2 * abs(affine) * total(problem.comm, form.diagonal()).max())
+            for affine, form in zip(problem.affine, pencil.forms, strict=True)
+        ]  # of the forces of the affine motion, were there no cancellation
 
     def add(self, omega: float, order: int) -> None:
         """Factor K + iωB, and add q and its derivatives below ``order`` to the motions."""
@@ -256,7 +290,7 @@ class _Projection(Motions):
         r = self.forces[0] + self.apply(self.pencil.K, u)
         r = r + 1j * omega * (self.forces[1] + self.apply(self.pencil.B, u))
         size = self.norm(r)
-        if not size > SILENT * np.hypot(self.forcing[0], omega * self.forcing[1]):
+        if not size > SILENT * np.hypot(self._sizes[0], omega * self._sizes[1]):
             self._R = np.zeros(len(r))
             return self._R
         R = (r * np.exp(-0.5j * np.angle(self.dot(r, r)))).real
@@ -270,8 +304,11 @@ class _Projection(Motions):
         from scipy.linalg import eigvals
 
         K, B = self.reduced
+        nodes = np.sort([node.omega for node in self.nodes])
+        beyond = np.array([grid[0] / BEYOND, grid[-1] * BEYOND])
+        grid = np.concatenate([grid, np.sqrt(nodes[1:] * nodes[:-1]), beyond])
         with np.errstate(divide="ignore", invalid="ignore"):
-            log = -np.log(np.hypot(self.forcing[0], grid * self.forcing[1]))
+            log = -np.log(np.hypot(self._sizes[0], grid * self._sizes[1]))
             for rate in eigvals(K[1:, 1:], B[1:, 1:]) if len(K) > 1 else ():
                 if np.isfinite(rate):
                     log -= np.log(abs(rate + 1j * grid))

@@ -25,7 +25,7 @@ from petscjam.response.result import ComplexModulus, frequencies
 
 EPS = float(np.finfo(float).eps)
 ROUNDING = 16 * EPS  # of a sum over all contacts, relative to the sum of moduli
-LARGEST_GAIN_ERROR = 1e-3  # a node beyond it does not count
+LARGEST_GAIN_ERROR = 0.1  # a node beyond it does not count
 GAIN_ALLOWANCE = 100  # times its error is added to a gain
 INSTANT = 1e-13  # share of friction in a motion, below which it relaxes at once
 
@@ -118,8 +118,13 @@ class Spectrum:
 
     def __call__(self, omegas: ArrayLike) -> Complex:
         """Return G* at ``omegas`` (any shape), 1/τ1."""
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         return self._modulus(omega.ravel()).reshape(omega.shape)
+
+    @property
+    def fluid(self) -> float:
+        """Viscosity of the fluid that the strain has to overcome: it adds iωηF to G*, apart from K and B."""
+        return self.damping.fluid * strain_mode(self.strain).shears_fluid
 
     @property
     def factorisations(self) -> int:
@@ -131,21 +136,21 @@ class Spectrum:
 
         It holds at any frequency and grows outside ``span``. Where ``definite`` is False it is an estimate.
         """
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         w = omega.ravel()
         storage, loss = self._rounding(w)
         absolute = self._truncation(w) + np.hypot(storage, loss)
-        return (self.estimate + absolute / abs(self._modulus(w))).reshape(omega.shape)
+        return (self.estimate + _relative(absolute, abs(self._modulus(w)))).reshape(omega.shape)
 
     def truncation(self, omegas: ArrayLike) -> Array:
         """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         w = omega.ravel()
         return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
 
     def part_errors(self, omegas: ArrayLike) -> tuple[Array, Array]:
         """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|."""
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         w = omega.ravel()
         G = self._modulus(w)
         square = self._residual(w) ** 2
@@ -159,26 +164,26 @@ class Spectrum:
         ):
             apart = self._scale * (abs(square.real) * first + abs(square.imag) * second)
             bound = np.minimum(whole, apart + self.estimate * abs(G))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                parts.append((bound / part + np.maximum(rounded / part, least)).reshape(omega.shape))
+            parts.append(_relative(bound + np.maximum(rounded, least * part), part).reshape(omega.shape))
         return parts[0], parts[1]
 
     def residuals(self, omegas: ArrayLike) -> Array:
         """Return ‖(K + iωB)q − f‖/‖f‖ of the model at ``omegas``. The error of G* is quadratic in it."""
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         return abs(self._residual(omega.ravel())).reshape(omega.shape) / np.hypot(
             self.forcing[0], omega * self.forcing[1]
         )
 
     def power_balance(self, omegas: ArrayLike) -> Array:
         """Return |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V| at ``omegas``: zero but for rounding."""
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         w = omega.ravel()
         Q = self._motion(w)
         K, B = (np.einsum("wm,mn,wn->w", Q.conj(), form, Q).real for form in (self.K, self.B))
         energy = K + 1j * w * B
         schur = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
-        return (abs(schur - energy) / abs(energy)).reshape(omega.shape)
+        whole = energy + 1j * w * self.fluid / self._scale
+        return (abs(schur - energy) / abs(whole)).reshape(omega.shape)
 
     def displacement(self, omega: float) -> Complex:
         """Return the non-affine displacements (N, 2) per unit strain at ``omega``; NaN on rattlers taken out.
@@ -257,7 +262,7 @@ class Spectrum:
 
         G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j) obeys the Kramers–Kronig relations exactly.
         """
-        omega = np.asarray(omegas, dtype=float)
+        omega = _positive(omegas)
         rates, weights, eta_inf = self._maxwell
         s = 1j * omega[..., None]
         return abs((self._G0 + 1j * omega * eta_inf + (weights * s / (s + rates)).sum(-1)) / self(omega) - 1)
@@ -274,15 +279,17 @@ class Spectrum:
         """
         if not (isinstance(self.damping, StokesDrag) and strain_mode(self.strain).shears_fluid):
             raise InputError(f"the fluid plays no part in {self.damping}, {self.strain}")
-        law, B, limits = StokesDrag(eta_fluid), self.B.copy(), self.limits.copy()
-        more = law.fluid - self.damping.fluid
-        B[0, 0] += more * self.area
-        limit_errors = self.limit_errors.copy()
+        law, limits = StokesDrag(eta_fluid), self.limits.copy()
+        limits[:, 1] += law.fluid - self.damping.fluid
         with np.errstate(divide="ignore", invalid="ignore"):
-            limit_errors[:, 1] *= abs(limits[:, 1] / (limits[:, 1] + more))
-        limits[:, 1] += more
-        affine = (self.affine[0], self.affine[1] + more * self.area)
-        return replace(self, B=B, damping=law, limits=limits, limit_errors=limit_errors, affine=affine)
+            limit_errors = self.limit_errors * abs(self.limits / limits)
+        other = replace(self, damping=law, limits=limits, limit_errors=limit_errors)
+        worst = float(other.error(np.geomspace(*self.span, 201)).max())
+        if worst > max(self.rtol, self.error(np.geomspace(*self.span, 201)).max()):
+            other = replace(
+                other, notes=(*self.notes, f"with ηF = {eta_fluid:g} the errors reach {worst:.1e}")
+            )
+        return other
 
     def sample(self, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
         """Return G* on a grid, with errors, and the displacements at ``fields_at``; the model goes along."""
@@ -323,13 +330,18 @@ class Spectrum:
             A = self.K + 1j * w[:, None, None] * self.B
             size = np.sqrt(abs(np.einsum("wmm->wm", A)))[:, 1:]
             scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
-            Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+            try:
+                Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+            except np.linalg.LinAlgError:
+                raise SolverError(
+                    "the reduced model is singular: there are motions that nothing resists"
+                ) from None
         return Q
 
     def _modulus(self, w: Array) -> Complex:
         Q = self._motion(w)
         energy = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
-        return self._scale * energy + self._shift
+        return self._scale * energy + self._shift + 1j * w * self.fluid
 
     def _residual(self, w: Array) -> Complex:
         """Return Rᵀr(ω): the residual lies along one fixed direction R."""
@@ -396,14 +408,15 @@ class Spectrum:
         rates = c / d
         weights = self._scale * (force[relaxes] - rates * drag[relaxes]) ** 2 / c
         eta_inf = self._scale * (self.B[0, 0] - (drag[flows] ** 2 / friction[flows]).sum())
-        return rates, weights, eta_inf
+        return rates, weights, eta_inf + self.fluid
 
     @cached_property
     def _creep(self) -> tuple[Array, Array, float]:
         """Return rates and strengths of J(s) = Σ strength/(s + rate) + instant; strain is a motion, too."""
-        K = self.K.copy()
+        K, B = self.K.copy(), self.B.copy()
         K[0, 0] += self._shift / self._scale
-        stiffness, friction, vectors = _diagonal(K, self.B, self._middle)
+        B[0, 0] += self.fluid / self._scale
+        stiffness, friction, vectors = _diagonal(K, B, self._middle)
         flows = friction > INSTANT * friction.max(initial=0.0)
         strain = vectors[0] ** 2 / self._scale
         rates, strengths = stiffness[flows] / friction[flows], strain[flows] / friction[flows]
@@ -429,6 +442,18 @@ def _diagonal(K: Array, B: Array, omega: float) -> tuple[Array, Array, Array]:
             continue
         return c, (1 - c) / omega, vectors
     raise SolverError("K + ωB between the motions is not positive at any ω: the packing is unstable")
+
+
+def _positive(omegas: ArrayLike) -> Array:
+    omega = np.asarray(omegas, dtype=float)
+    frequencies(omega, empty=True)
+    return omega
+
+
+def _relative(bound: Array, size: Array) -> Array:
+    """Return a bound on |Δx|/|x| from one on |Δx| and the size of x + Δx; infinite where they are alike."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(bound < size, bound / (size - bound), np.inf)
 
 
 def _times(t: ArrayLike) -> Array:
