@@ -9,7 +9,7 @@ set -x
 
 # --resume leaves what is there already alone.
 $petscjam prepare --particles 1024 --pressure 1e-3 --seed 1 --resume -o demo/packing.h5
-mpirun -n 2 $petscjam moduli demo/packing.h5 --omega 1e-8:1e2:61 --damping contact --beta 1 --direct \
+mpirun -n 2 $petscjam moduli demo/packing.h5 --omega 1e-8:1e2:61 --damping contact --beta 1 \
     --fields 1e-8,1e-3,1e2 \
     --resume -o demo/modulus.h5
 $petscjam plot demo/modulus.h5 --overwrite -o demo/modulus.png
