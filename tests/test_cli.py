@@ -534,3 +534,100 @@ def test_a_petsc_option_that_nobody_reads_is_named(packing, tmp_path, environmen
         capture_output=True, text=True, env=environment, timeout=120,
     )  # fmt: skip
     assert "-petscjam_nonsense" in run.stdout + run.stderr
+
+
+# --- spectra
+
+
+@pytest.fixture
+def modulus(packing, tmp_path):
+    main(["moduli", str(packing), "-o", str(tmp_path / "g.h5")])
+    return tmp_path / "g.h5"
+
+
+def test_moduli_meet_rtol_with_few_factorisations(modulus):
+    g = pj.read_modulus(modulus)
+    assert g.errors.max() <= 1.1e-6
+    assert g.performance["factorisations"] < 15
+    assert len(g.omega) == 61
+
+
+def test_a_looser_rtol_takes_fewer_factorisations(packing, modulus, tmp_path):
+    main(["moduli", str(packing), "--rtol", "1e-1", "-o", str(tmp_path / "loose.h5")])
+    count = [pj.read_modulus(file).performance["factorisations"] for file in (tmp_path / "loose.h5", modulus)]
+    assert count[0] < count[1]
+
+
+def test_a_model_in_a_file_answers_without_the_packing(packing, modulus):
+    s = pj.read_spectrum(modulus)
+    omega = np.geomspace(2e-8, 50, 7)
+    exact = pj.complex_modulus(pj.Packing.read(packing), omega).values
+    assert (abs(s(omega) / exact - 1) <= s.error(omega) + 1e-10).all()
+
+
+def test_fields_of_the_model_are_those_of_the_solves(packing, tmp_path):
+    for name, how in (("model", ["--rtol", "1e-10"]), ("direct", ["--direct"])):
+        out = str(tmp_path / f"{name}.h5")
+        main(["moduli", str(packing), "--omega", "0.1,1", "--fields", "0.1,1", *how, "-o", out])
+    ours, theirs = (pj.read_modulus(tmp_path / f"{name}.h5") for name in ("model", "direct"))
+    assert np.allclose(ours.fields, theirs.fields, atol=1e-5, equal_nan=True)
+    assert ours.geometry.checksum == theirs.geometry.checksum
+
+
+@pytest.mark.parametrize("option", [["--out-of-core"], ["--block-low-rank", "1e-6"]])
+def test_mumps_options_change_nothing_but_rounding(packing, modulus, tmp_path, option):
+    main(["moduli", str(packing), *option, "-o", str(tmp_path / "other.h5")])
+    ours, theirs = pj.read_modulus(modulus), pj.read_modulus(tmp_path / "other.h5")
+    assert np.allclose(ours.values, theirs.values, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [(["--rtol", "0"], "rtol"), (["--team-size", "0"], "team-size"), (["--beta", "1,x"], "beta")],
+)
+def test_bad_settings_of_spectra_are_named(packing, tmp_path, capfd, options, named):
+    assert named in refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options)
+
+
+@pytest.mark.parametrize("fmt", ["csv", "tts", "gt"])
+def test_a_modulus_is_exported_as_text(modulus, capsys, fmt):
+    assert main(["export", str(modulus), "--to", fmt]) == 0
+    lines = modulus.with_suffix(f".{fmt}").read_text().splitlines()
+    numbers = [line for line in lines if line[0].isdigit()]
+    assert len(numbers) > 60
+    assert "sixteen" in lines[0]
+
+
+def test_export_on_another_grid(modulus, tmp_path):
+    out = tmp_path / "g.csv"
+    assert main(["export", str(modulus), "--omega", "1e-3:1:4", "-o", str(out)]) == 0
+    omega = [float(line.split(",")[0]) for line in out.read_text().splitlines() if line[0].isdigit()]
+    assert np.allclose(omega, [1e-3, 1e-2, 1e-1, 1.0])
+
+
+def test_export_of_several_results_asks_which(packing, tmp_path, capfd):
+    out = tmp_path / "g.h5"
+    main(["moduli", str(packing), "--prestress-both", "--omega", "1,2", "-o", str(out)])
+    capfd.readouterr()
+    message = refused_lines(capfd, "export", out)
+    assert "without pre-stress" in message
+    name = next(name for name in pj.read_moduli(out) if "without" in name)
+    assert main(["export", str(out), "--group", name]) == 0
+
+
+def test_formats_of_packings_are_not_those_of_moduli(packing, modulus, capfd):
+    assert "csv" in refused(capfd, "export", modulus, "--to", "xyz")
+    assert "xyz" in refused(capfd, "export", packing, "--to", "tts")
+    assert "--omega" in refused(capfd, "export", packing, "--omega", "1")
+
+
+def test_a_model_is_drawn(packing, tmp_path):
+    pj.write_spectrum(pj.spectrum(pj.Packing.read(packing)), tmp_path / "model.h5")
+    assert main(["plot", str(tmp_path / "model.h5")]) == 0
+    assert main(["info", str(tmp_path / "model.h5")]) == 0
+    assert (tmp_path / "model.png").stat().st_size > 20_000
+
+
+def refused_lines(capfd, *arguments):
+    assert main([str(argument) for argument in arguments]) == 2
+    return capfd.readouterr().err
