@@ -75,3 +75,25 @@ def test_the_kernel_suits_the_processor(environment):
         flags = cpu.read()
     assert all(flag in flags for flag in OPENBLAS_KERNELS.get(named, ()))
     assert named != "none" or "avx2" not in flags
+
+
+# --- memory
+
+
+@pytest.mark.parallel(nprocs=[1, 2])
+def test_a_factor_that_does_not_fit_is_refused_before_any_work(comm, monkeypatch):
+    from petscjam.parallel import memory
+
+    monkeypatch.setattr(memory, "available_memory", lambda: 100.0)
+    with pytest.raises(pj.InputError, match="300000 unknowns needs about 655 MB, 555 MB more"):
+        memory.check_memory(comm, 300_000)
+    assert "655 MB" in memory.check_memory(comm, 300_000, out_of_core=True)
+    assert "needs about 1 MB" in memory.check_memory(comm, 1000)
+
+
+def test_the_estimate_of_a_factor_is_what_mumps_takes():
+    from petscjam.parallel.memory import factor_memory
+
+    packing = pj.prepare_packing(4096, 1e-1, 1)
+    s = pj.spectrum(packing, (1e-2, 1e-2), displacements=False)
+    assert 0.4 < s.performance["mumps_MB"] / factor_memory(s.performance["unknowns"]) < 2.5

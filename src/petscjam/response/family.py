@@ -20,6 +20,7 @@ from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
+from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import direct_solver
 from petscjam.progress import Report
 from petscjam.response.matrices import assembled
@@ -132,6 +133,9 @@ def beta_family(
     rigid = (np.zeros((len(packing), 3), dtype=complex), np.ones(1))
     affine = problem.product(normal, rigid, rigid).real, problem.affine[1]
     dofs = problem.number(problem.active)
+    needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
+    if progress:
+        progress(0.0, needs)
     with (
         assembled(problem.K, problem.B, dofs, comm, normal) as pencil,
         direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,

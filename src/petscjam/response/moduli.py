@@ -17,6 +17,7 @@ from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
+from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import (
@@ -84,6 +85,7 @@ def complex_modulus(
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
     dofs = problem.number(problem.active)
+    check_memory(comm, dofs.size)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
         direct_solver(comm, "petscjam_", definite=problem.definite) as solver,

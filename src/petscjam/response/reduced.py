@@ -23,6 +23,7 @@ from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve, total
+from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
@@ -100,6 +101,9 @@ def spectrum(
     law = law_or_default(damping)
     problem = LinearProblem(packing, law.without_fluid(), [strain_mode(strain)], prestress, comm)
     dofs = problem.number(problem.active)
+    needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
+    if progress:
+        progress(0.0, needs)
     with (
         assembled(problem.K, problem.B, dofs, comm) as pencil,
         direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
