@@ -7,11 +7,11 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
 READY_DOCS := $(if $(READY),.venv/.ready-docs)
 export PYTHON
 
-.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench bench-lammps clean
+.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
 setup: $(READY) ## install what is missing (Debian packages, .venv)
 
@@ -52,8 +52,14 @@ docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(READY) ## the direct sweep against bare MUMPS and SciPy, as ratios (five minutes; DISKS=4096 for less)
+bench: $(READY) ## spectrum and direct sweep against bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
+
+bench-certificates: $(READY) ## factorisations and true errors of certified spectra over 52 packings (five minutes)
+	mpi_runs/certificates.sh
+
+bench-scaling: $(READY) ## strong and weak scaling of spectra on 1 and 2 ranks, with a figure (five minutes)
+	. tools/mpi-env.sh && $(PYTHON) benchmarks/scaling.py -o docs/figures/scaling.png
 
 bench-lammps: $(READY) ## minimisation against LAMMPS, in an environment of its own (ten minutes)
 	$(PYTHON) benchmarks/minimise_lammps.py

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The direct sweep against bare MUMPS and against SciPy, on 1 and 2 ranks. Called by make bench.
+# The spectrum and the direct sweep against bare MUMPS and against SciPy. Called by make bench.
 # DISKS=4096 FREQUENCIES=21 make bench for a smaller one; the default takes about five minutes.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,6 +9,7 @@ disks=${DISKS:-32768}
 mkdir -p demo
 
 $python -m petscjam prepare --particles "$disks" --pressure 1e-2 --seed 1 --resume -o "demo/bench-$disks.h5"
+$python benchmarks/spectrum.py "demo/bench-$disks.h5" --direct 60 --splu
 for ranks in 1 2; do
     mpirun -n $ranks $python benchmarks/direct_sweep.py "demo/bench-$disks.h5" "${FREQUENCIES:-61}"
 done
