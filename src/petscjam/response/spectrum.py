@@ -24,7 +24,7 @@ from petscjam.packing.packing import Packing
 from petscjam.response.result import ComplexModulus, frequencies
 
 EPS = float(np.finfo(float).eps)
-ROUNDING = 16 * EPS  # of a sum over all contacts, relative to the sum of moduli
+ROUNDING = 32 * EPS  # of a sum over all contacts, relative to the sum of moduli; twice the worst that was seen
 LARGEST_GAIN_ERROR = 0.1  # a node beyond it does not count
 GAIN_ALLOWANCE = 100  # times its error is added to a gain
 INSTANT = 1e-13  # share of friction in a motion, below which it relaxes at once
