@@ -10,6 +10,7 @@ from petscjam.cli import main
 from petscjam.ensemble import average, sweep
 from petscjam.errors import InputError
 from petscjam.parallel.comm import on_root
+from petscjam.storage import atomic_h5
 
 OMEGA = np.geomspace(1e-4, 10, 6)
 ROUNDING = 1e-10  # of the direct solves that are compared with
@@ -43,8 +44,7 @@ def shared(tmp_path, comm):
 def test_every_packing_law_and_prestress_gets_its_modulus(packings, tmp_path, comm, team_size):
     output = shared(tmp_path, comm)
     laws = [pj.ContactDamping(), pj.ContactDamping(0.01), pj.StokesDrag()]
-    failures = run(packings, output, comm, laws=laws, prestress=[True, False], team_size=team_size)
-    assert failures == []
+    assert run(packings, output, comm, laws=laws, prestress=[True, False], team_size=team_size) == (18, [])
     results = pj.read_moduli(output)
     assert len(results) == 18
     comm.barrier()
@@ -72,7 +72,8 @@ def test_a_packing_that_cannot_be_solved_stops_no_other(packings, tmp_path, comm
         p = pj.Packing.read(packings[0])
         pj.Packing(p.positions, p.radii / 2, p.box).write(loose)
     comm.barrier()
-    failures = run([loose, *packings], output, comm)
+    made, failures = run([loose, *packings], output, comm)
+    assert made == 3
     assert len(failures) == 1
     assert "loose.h5" in failures[0]
     assert "no contacts" in failures[0]
@@ -110,6 +111,50 @@ def test_overwrite_replaces_all_of_an_older_file(packings, tmp_path, comm):
     assert len(pj.read_moduli(output)) == 2
     comm.barrier()
     assert sorted(file.name for file in output.parent.iterdir()) == ["g.h5"]
+
+
+def test_resume_with_more_laws_makes_no_result_twice(packings, tmp_path, comm):
+    run(packings[:1], tmp_path / "g.h5", comm)
+    made, _ = run(
+        packings[:1], tmp_path / "g.h5", comm, laws=[pj.ContactDamping(), pj.StokesDrag()], resume=True
+    )
+    assert made == 1
+    assert len(pj.read_moduli(tmp_path / "g.h5")) == 2
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "named"),
+    [
+        ({"rtol": 1e-2}, {"rtol": 1e-8}, "rtol"),
+        ({}, {"direct": True}, "reduced"),
+        ({"direct": True}, {}, "solve"),
+    ],
+)
+def test_resume_refuses_what_was_found_in_another_way(packings, tmp_path, comm, first, then, named):
+    run(packings[:1], tmp_path / "g.h5", comm, **first)
+    with pytest.raises(InputError, match=named):
+        run(packings, tmp_path / "g.h5", comm, resume=True, **then)
+
+
+@pytest.mark.parametrize(
+    "laws", [[pj.ContactDamping(b) for b in (0.1, 1, 10, 100)], [pj.StokesDrag(0), pj.StokesDrag(9)]]
+)
+def test_results_do_not_depend_on_resuming(packings, tmp_path, comm, laws):
+    run(packings[:1], tmp_path / "whole.h5", comm, laws=laws, rtol=1e-2)
+    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, rtol=1e-2)
+    with atomic_h5(tmp_path / "parts.h5", existing=True) as h5:
+        del h5[next(iter(h5))]
+    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, rtol=1e-2, resume=True)
+    whole, parts = (pj.read_moduli(tmp_path / name) for name in ("whole.h5", "parts.h5"))
+    assert whole.keys() == parts.keys()
+    for name, g in whole.items():
+        assert (parts[name].values == g.values).all()
+
+
+def test_overwrite_takes_the_place_of_any_file(packings, tmp_path, comm):
+    (tmp_path / "g.h5").write_text("not HDF5")
+    run(packings[:1], tmp_path / "g.h5", comm, overwrite=True)
+    assert len(pj.read_moduli(tmp_path / "g.h5")) == 1
 
 
 def test_a_line_of_the_log_says_what_it_cost(packings, tmp_path, comm):
@@ -194,6 +239,9 @@ def test_a_family_holds_at_every_beta(family, beta):
     exact = pj.complex_modulus(packing, omega, damping=pj.ContactDamping(beta), prestress=prestress).values
     s = models(beta)
     assert (abs(s(omega) / exact - 1) <= s.error(omega) + ROUNDING).all()
+    storage, loss = s.part_errors(omega)
+    assert (abs(s(omega).real / exact.real - 1) <= storage + ROUNDING).all()
+    assert (abs(s(omega).imag / exact.imag - 1) <= loss + ROUNDING).all()
     assert s.error(omega).max() <= 2e-6
     assert not s.definite  # an estimate
 
@@ -231,9 +279,38 @@ def test_a_family_knows_its_range(family):
         family[2](1e-6)
 
 
+def test_a_family_promises_nothing_outside_its_span(packings):
+    models = pj.beta_family(pj.Packing.read(packings[0]), (1.0, 4.0), (1.0, 10.0))
+    assert models(2.0).error(3.0) < 1e-5
+    assert models(2.0).error(1e-4) == np.inf
+
+
+def test_limits_beyond_the_span_of_a_family_are_not_made_up(packings):
+    packing = pj.Packing.read(packings[0])
+    s = pj.beta_family(packing, (1.0, 4.0), (1.0, 10.0))(2.0)
+    exact = pj.complex_modulus(packing, [1.0], damping=pj.ContactDamping(2.0))
+    assert s.G0 == pytest.approx(exact.G0, rel=1e-8)  # the same for all β: solved for
+    assert np.isnan([s.eta0, s.eta_inf]).all()
+    assert "beyond the span" in " ".join(s.notes)
+
+
+@pytest.mark.parallel(nprocs=3)
+def test_a_family_with_a_rank_that_owns_nothing(comm):
+    triangle = pj.Packing([[0.0, 0.0], [0.5, 0.0]], [0.26, 0.26], pj.Box([[1.0, 0.0], [0.2, 0.45]]))
+    models = pj.beta_family(triangle, (0.1, 1.0), (1e-2, 1e2), prestress=False, comm=comm)
+    exact = pj.complex_modulus(triangle, [1.0], damping=pj.ContactDamping(0.5), prestress=False, comm=comm)
+    assert models(0.5)(1.0) == pytest.approx(exact.values[0], rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("betas", "options"),
-    [((0.0, 1.0), {}), ((1.0, 0.1), {}), ((0.1, 1.0), {"rtol": 0.0}), ((0.1, 1.0), {"span": (1.0, 1.0)})],
+    [
+        ((0.0, 1.0), {}),
+        ((1.0, 0.1), {}),
+        ((1.0, 1e6), {}),
+        ((0.1, 1.0), {"rtol": 0.0}),
+        ((0.1, 1.0), {"span": (1.0, 1.0)}),
+    ],
 )
 def test_bad_ranges_are_refused(packings, betas, options):
     with pytest.raises(InputError):

@@ -97,3 +97,18 @@ def test_the_estimate_of_a_factor_is_what_mumps_takes():
     packing = pj.prepare_packing(4096, 1e-1, 1)
     s = pj.spectrum(packing, (1e-2, 1e-2), displacements=False)
     assert 0.4 < s.performance["mumps_MB"] / factor_memory(s.performance["unknowns"]) < 2.5
+
+
+@pytest.mark.slow
+def test_a_compressed_factor_gives_the_same_modulus():
+    """65 536 disks, tiles of 1024: with fewer MUMPS compresses nothing."""
+    tile = pj.prepare_packing(1024, 1e-1, 1)
+    shifts = np.array([[i, j] for i in range(8) for j in range(8)]) @ tile.box.cell
+    positions = (tile.positions + shifts[:, None]).reshape(-1, 2)
+    tiles = pj.Packing(positions, np.tile(tile.radii, 64), pj.Box(8 * tile.box.cell))
+    exact, compressed = (
+        pj.spectrum(p, (1e-2, 1e-2), prestress=False, displacements=False, **options)
+        for p, options in ((tile, {}), (tiles, {"block_low_rank": 1e-8}))
+    )
+    assert compressed(1e-2) == pytest.approx(exact(1e-2), rel=1e-9)
+    assert compressed.performance["residual"] < 1e-10

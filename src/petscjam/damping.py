@@ -44,6 +44,8 @@ class DampingLaw:
             value = getattr(self, item.name)
             if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0):
                 raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {value!r}")
+            if not isinstance(value, bool):
+                object.__setattr__(self, item.name, float(value))
 
     @property
     def tangential(self) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,14 @@ from petscjam.parallel.comm import on_root
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.progress import Report, part
-from petscjam.response.family import beta_family
+from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.reduced import spectrum
-from petscjam.response.result import ComplexModulus
+from petscjam.response.result import ComplexModulus, frequencies
 from petscjam.storage import check_output, locked, naming, unlock
 
 FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
+LARGE = 20_000  # disks from which the memory of a factor is announced
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Job:
     Attributes
     ----------
     file : Path
+    checksum : str
     particles : int
     groups : dict
         The name of the result for each law. Several laws differ in β alone, or in ηF alone.
@@ -51,13 +53,18 @@ class Job:
     """
 
     file: Path
+    checksum: str
     particles: int
     groups: dict[DampingLaw, str]
     prestress: bool
 
-    def without(self, there: set[str]) -> Job:
-        """Return what is left where the results ``there`` exist already."""
-        return replace(self, groups={law: name for law, name in self.groups.items() if name not in there})
+    def missing(self, there: set[tuple[str, str, bool]]) -> set[str]:
+        """Return the names of results that are not ``there``. The model is that of all laws all the same."""
+        return {
+            name
+            for law, name in self.groups.items()
+            if (self.checksum, str(law), self.prestress) not in there
+        }
 
 
 def sweep(
@@ -79,8 +86,10 @@ def sweep(
     block_low_rank: float = 0.0,
     progress: Report | None = None,
     log: Callable[[str], None] = print,
-) -> list[str]:
-    """Add G* of each of ``files`` under each law to ``output``, one group a result; return what failed.
+) -> tuple[int, list[str]]:
+    """Add G* of each of ``files`` under each law to ``output``, one group a result.
+
+    Returns how many were made, and why others failed.
 
     Jobs are dealt to teams of ``team_size`` ranks; left out, one rank a team, more where there are fewer jobs
     than ranks or the factors would not fit into memory. The file is whole at every moment and holds what is
@@ -93,39 +102,43 @@ def sweep(
     """
     fields_at = np.asarray(fields_at, dtype=float)
 
-    def plan() -> tuple[list[Job], set[str]]:
+    def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
         for file in files:
             if not file.exists():
                 raise InputError(f"{file}: no such file")
         check_output(output, overwrite=overwrite or resume, inputs=files)
         jobs = list(_jobs(files, laws, prestress, together=not direct))
-        there = set()
+        there: set[tuple[str, str, bool]] = set()
         if resume and Path(output).exists():
-            wanted = {
-                name: {"damping": str(law), "prestress": job.prestress}
-                for job in jobs
-                for law, name in job.groups.items()
-            }
-            there = done(output, wanted, strain, omegas, fields_at)
+            wanted = [
+                {"strain": strain, "damping": str(law), "prestress": p} for law in laws for p in prestress
+            ]
+            there = done(output, wanted, omegas, fields_at, None if direct else rtol)
         return jobs, there
 
     jobs, there = on_root(comm, plan)
-    jobs = [job for job in (job.without(there) for job in jobs) if job.groups]
+    jobs = [job for job in jobs if job.missing(there)]
     run = comm.bcast(uuid4().hex)
-    failures: list[str] = []
+    made, failures = 0, []
     if jobs:
         size = team_size or _team_size(max(job.particles for job in jobs), len(jobs), comm, out_of_core)
         with teams(comm, min(size, comm.size)) as team:
             mine = team.deal(jobs, lambda job: job.particles)
             for k, job in enumerate(mine):
                 report = part(progress, k, len(mine), f"{job.file.stem}: ") if progress else None
+                if job.particles >= LARGE and team.comm.rank == 0:
+                    log(f"{job.file.stem}: {job.particles} disks, a factor of about "
+                        f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks")  # fmt: skip
                 start, nodes = time.perf_counter(), None
                 try:
                     for name, result in _solve(
                         job, team, omegas, strain, rtol, direct, fields_at, report,
                         out_of_core=out_of_core, block_low_rank=block_low_rank,
                     ):  # fmt: skip
+                        if name not in job.missing(there):
+                            continue
                         on_root(team.comm, _store, result, output, name, run, resume, team.count > 1)
+                        made += team.comm.rank == 0
                         if team.comm.rank == 0:
                             same = result.model is not None and result.model.nodes is nodes
                             log(_line(name, result, time.perf_counter() - start, same=same))
@@ -134,10 +147,10 @@ def sweep(
                     if len(jobs) == 1:
                         raise
                     failures += [str(error)] * (team.comm.rank == 0)
-    everyone = comm.allgather(failures)
+    everyone = comm.allgather((made, failures))
     if jobs and comm.rank == 0:
         unlock(output)
-    return [text for rank in everyone for text in rank]
+    return sum(count for count, _ in everyone), [text for _, some in everyone for text in some]
 
 
 def _jobs(
@@ -150,7 +163,7 @@ def _jobs(
     sets: dict[Any, list[DampingLaw]] = {}
     for law in dict.fromkeys(laws):
         alike: Any = law
-        if together and isinstance(law, ContactDamping) and law.beta > 0:
+        if together and isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA:
             alike = ContactDamping, law.rotations
         elif together and isinstance(law, StokesDrag):
             alike = StokesDrag
@@ -166,7 +179,7 @@ def _jobs(
             tag = (" with pre-stress" if kept else " without pre-stress") if len(prestress) > 1 else ""
             for alike in sets.values():
                 groups = {law: name + f" {law}" * (len(laws) > 1) + tag for law in alike}
-                yield Job(file, len(packing), groups, kept)
+                yield Job(file, packing.checksum, len(packing), groups, kept)
 
 
 def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
@@ -272,10 +285,10 @@ def average(
     kept = {name: g for name, g in results.items() if unstable or g.stable}
     if not kept:
         raise InputError(f"average: none of {len(results)} packings is stable")
-    if len({(g.damping, g.strain, g.prestress) for g in kept.values()}) > 1:
-        raise InputError("average: the results have different laws, strains or pre-stress")
+    if len({(g.damping, g.strain, g.prestress, g.packing["potential"]) for g in kept.values()}) > 1:
+        raise InputError("average: the results have different laws, strains, pre-stress or potentials")
     first = next(iter(kept.values()))
-    omega = first.omega if omegas is None else np.atleast_1d(np.asarray(omegas, dtype=float))
+    omega = first.omega if omegas is None else frequencies(omegas)
     values = np.array([_at(name, g, omega) for name, g in kept.items()])
     n = len(values)
     several = n > 1

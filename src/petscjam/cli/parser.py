@@ -145,9 +145,14 @@ def build_parser() -> Parser:
                         help="leave out the forces of the initial state")  # fmt: skip
     either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False],
                         help="with and without these, side by side")  # fmt: skip
-    p.add_argument("--fields", type=frequencies, default=(), metavar="RANGE",
-                   help="frequencies of the sweep (nearest point) whose displacements are kept")  # fmt: skip
-    p.add_argument("--rtol", type=number, default=1e-6, metavar="X",
+    p.add_argument(
+        "--fields",
+        type=frequencies,
+        default=(),
+        metavar="RANGE",
+        help="frequencies in 1/tau1 (nearest of the sweep) whose displacements are kept",
+    )
+    p.add_argument("--rtol", type=number, metavar="X",
                    help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
                         "frequency (default 1e-6)")  # fmt: skip
     p.add_argument("--direct", action="store_true",

@@ -207,11 +207,23 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.parallel.petsc import start
     from petscjam.progress import progress
     from petscjam.report import table
+    from petscjam.response.reduced import checked_rtol
 
     start(comm)
     laws, omega = chosen_laws(options), options.omega
     if options.team_size is not None and options.team_size < 1:
         raise InputError(f"moduli: --team-size must be at least 1, not {options.team_size}")
+    reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0]
+    if options.direct and any(reduced):
+        raise InputError(
+            "moduli: --rtol, --out-of-core and --block-low-rank go with the reduced model, not --direct"
+        )
+    rtol = 1e-6 if options.rtol is None else options.rtol
+    checked_rtol(rtol, 1e-12)
+    if not 0 <= options.block_low_rank <= 0.1:
+        raise InputError(
+            f"moduli: --block-low-rank must be between 0 and 0.1, not {options.block_low_rank:g}"
+        )
     for w in options.fields:
         if not omega.min() <= w <= omega.max():
             raise InputError(f"--fields {w:g} lies outside the sweep")
@@ -224,15 +236,15 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
         return found
 
     with progress("moduli", show=comm.rank == 0) as report:
-        failures = sweep(
+        made, failures = sweep(
             on_root(comm, files), omega, options.output, laws=laws, prestress=options.prestress,
-            strain=options.strain, rtol=options.rtol, direct=options.direct,
+            strain=options.strain, rtol=rtol, direct=options.direct,
             fields_at=omega[np.unique(np.array(nearest, dtype=int))], comm=comm, team_size=options.team_size,
             resume=options.resume, overwrite=options.overwrite, out_of_core=options.out_of_core,
             block_low_rank=options.block_low_rank, progress=report,
             log=lambda line: print(line, flush=True),
         )  # fmt: skip
-    if options.output.exists():
+    if made or options.resume:
         say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, fields
 from os import PathLike, path
 from typing import Any
@@ -56,11 +57,10 @@ def append_modulus(
 
 
 def run_of(file: str | PathLike[str]) -> str | None:
-    """Return which run wrote last to ``file``; None if there is none."""
-    if not path.exists(file):
-        return None
-    with open_h5(file) as h5:
+    """Return which run wrote last to ``file``; None if that is not known."""
+    with suppress(InputError), open_h5(file) as h5:
         return h5.attrs.get("run")
+    return None
 
 
 def is_result(file: str | PathLike[str]) -> bool:
@@ -108,35 +108,47 @@ def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
 
 
 def done(
-    file: str | PathLike[str], wanted: Mapping[str, Mapping[str, Any]], strain: str, omega: Array, kept: Array
-) -> set[str]:
-    """Return the groups that ``file`` holds already, if they were made with the same settings.
+    file: str | PathLike[str],
+    laws: Iterable[Mapping[str, Any]],
+    omega: Array,
+    kept: Array,
+    rtol: float | None,
+) -> set[tuple[str, str, bool]]:
+    """Return checksum, damping and pre-stress of what ``file`` holds, if it was made with these settings.
 
-    ``wanted`` has the damping and pre-stress of each group that this run would make. Groups of other packings
-    may stay if their settings are among these.
+    Parameters
+    ----------
+    laws : iterable of mappings
+        Strain, damping and pre-stress that this run would use.
+    omega, kept : arrays
+        Frequencies, and those at which fields are kept.
+    rtol : float or None
+        Of the reduced model; None if each frequency is solved for.
 
     Raises
     ------
     InputError
-        If they were made with others.
+        If it was made with others.
     """
-    results = read_moduli(file)
-    for name, g in results.items():
-        choices = [{**settings, "strain": strain} for settings in (
-            [wanted[name]] if name in wanted else wanted.values()
-        )]  # fmt: skip
-        if not any(all(getattr(g, key) == choice[key] for key in SETTINGS) for choice in choices):
-            for key in SETTINGS:
-                if all(getattr(g, key) != choice[key] for choice in choices):
-                    raise InputError(
-                        f"{file}: {name} was made with {key} = {getattr(g, key)}, "
-                        f"not {choices[0][key]}; it cannot be resumed"
-                    )
-            raise InputError(f"{file}: {name} was made with another law; it cannot be resumed")
-        for what, old, new in (("omega", g.omega, omega), ("fields", g.field_omega, kept)):
-            if not np.array_equal(old, new):
-                raise InputError(f"{file}: {name} has other frequencies ({what}); it cannot be resumed")
-    return set(results)
+    laws, there = list(laws), set()
+    for name, g in read_moduli(file).items():
+        own = {key: getattr(g, key) for key in SETTINGS}
+        reason = None
+        if own not in laws:
+            other = next((key for key in SETTINGS if all(own[key] != law[key] for law in laws)), "damping")
+            reason = f"with {other} = {own[other]}, not {laws[0][other]}"
+        elif (g.model is None) != (rtol is None):
+            reason = "with " + ("one solve a frequency" if g.model is None else "the reduced model")
+        elif g.model is not None and rtol is not None and g.model.rtol > rtol:
+            reason = f"with rtol = {g.model.rtol:g}, not {rtol:g}"
+        elif not np.array_equal(g.omega, omega):
+            reason = "at other frequencies (omega)"
+        elif not np.array_equal(g.field_omega, kept):
+            reason = "with other frequencies kept (fields)"
+        if reason:
+            raise InputError(f"{file}: {name} was made {reason}; it cannot be resumed")
+        there.add((g.packing["checksum"], g.damping, g.prestress))
+    return there
 
 
 def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: bool = False) -> None:

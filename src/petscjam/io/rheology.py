@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from petscjam.box import Array
 from petscjam.errors import InputError
+from petscjam.response.reduced import PLATEAU
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.storage import check_output, write_atomically
@@ -78,7 +79,14 @@ def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> b
 def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> bytes:
     """Return t, G(t) as RepTate's application Gt reads them. It divides by ``gamma``: here 1."""
     model = _model(source, "G(t)")
-    t = _decades(1 / model.span[1], 1 / model.span[0]) if times is None else _times(times)
+    first, last = 1 / model.span[1], 1 / model.span[0]
+    t = _decades(first, last) if times is None else _times(times)
+    plateau = model.own_limits()[1][:, 0] < PLATEAU  # then G(t) stays what it is at the end of the span
+    outside = (t < (0.0 if plateau[1] else first * (1 - 1e-9))) | (
+        t > (np.inf if plateau[0] else last * (1 + 1e-9))
+    )
+    if outside.any():
+        raise InputError(f"times: {t[outside][0]:g} is outside what the model knows, {first:g} to {last:g}")
     lines = [_parameters(model, Mw=0, gamma=1), _setting(model), f"# times in tau1, {_moduli(model)}"]
     impulse = f"# at the step itself comes {model.eta_inf!r} delta(t) besides"
     return _text([*lines, impulse, "t\tGt"], [t, model.G(t)], "\t")
@@ -110,11 +118,18 @@ def _sampled(source: Spectrum | ComplexModulus, omegas: ArrayLike | None) -> Com
     if isinstance(source, ComplexModulus) and omegas is None:
         return source
     model = _model(source, "G* at other frequencies")
-    return model.sample(_decades(*model.span) if omegas is None else omegas)
+    modulus = model.sample(_decades(*model.span) if omegas is None else omegas)
+    unknown = ~np.isfinite(modulus.errors)
+    if unknown.any():
+        low, high = model.span
+        raise InputError(
+            f"omega: {modulus.omega[unknown][0]:g} is too far outside the model, {low:g} to {high:g}"
+        )
+    return modulus
 
 
 def _decades(low: float, high: float) -> Array:
-    return np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * np.log10(high / low))))
+    return np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * (np.log10(high) - np.log10(low)))))
 
 
 def _times(times: ArrayLike) -> Array:

@@ -7,6 +7,7 @@ Axes: g point of the grid in (ω, β), m motion.
 
 from __future__ import annotations
 
+import resource
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,17 +24,18 @@ from petscjam.parallel.comm import resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import direct_solver
 from petscjam.progress import Report
+from petscjam.response.limits import limit_or_note, zero_frequency
 from petscjam.response.matrices import assembled
 from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, agree, describe
-from petscjam.response.reduced import checked_rtol, checked_span
+from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum
 
 PER_DECADE = 4, 4  # points of the grid in ω and β
 MOST_NODES = 80
 SOFT = 0.03  # rate above which motions respond ever less
-LATEST = 5  # nodes from which the error is judged
-SAFETY = 10  # times the error that they tell
+SAFETY = 10  # times the error that the nodes tell
+LARGEST_BETA = 1e3  # beyond it rounding hides what the residual tells
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Family:
     """G*(ω) at every β of a range: ``family(beta)`` is a :class:`Spectrum`.
 
     Its :meth:`Spectrum.error` is an estimate: the square of the residual, times ten times the worst ratio of
-    the true error to it at the latest nodes.
+    the true error to it at all nodes. There is none outside the span.
 
     Attributes
     ----------
@@ -51,6 +53,8 @@ class Family:
         For all β together.
     estimate : float
         Of |ΔG*|/|G*|, over the range and the span.
+    G0 : (float, float)
+        The limit of G* at ω → 0, solved for if the span ends before its plateau, and the residual.
     """
 
     betas: tuple[float, float]
@@ -61,6 +65,7 @@ class Family:
     B1: Array
     affine: tuple[float, float]
     rotations: bool
+    G0: tuple[float, float]
 
     def __call__(self, beta: float) -> Spectrum:
         """Return the spectrum at ``beta``.
@@ -79,7 +84,15 @@ class Family:
             damping=ContactDamping(beta, self.rotations),
         )  # fmt: skip
         limits, limit_errors = model.own_limits()
-        return replace(model, limits=limits, limit_errors=limit_errors)
+        far = ~(limit_errors.max(1) < PLATEAU)
+        limits[far], limit_errors[far] = np.nan, np.nan
+        notes = model.notes
+        if far.any():
+            what = " and ".join(np.array(["η0", "G∞ and η∞"])[far])
+            notes = (*notes, f"{what} lie beyond the span")
+        if far[0]:
+            limits[0, 0], limit_errors[0, 0] = self.G0
+        return replace(model, limits=limits, limit_errors=limit_errors, notes=notes)
 
 
 def beta_family(
@@ -107,7 +120,7 @@ def beta_family(
     ----------
     packing : Packing
     betas : (float, float)
-        Lowest and highest β, above 0.
+        Lowest and highest β, above 0, at most 1000.
     span, strain, prestress, rtol, comm, displacements, name, progress, **solver_options
         As for :func:`petscjam.spectrum`.
     rotations : bool
@@ -119,11 +132,15 @@ def beta_family(
         As :func:`petscjam.spectrum`; or if ``betas`` is not 0 < low < high.
     """
     comm, start = resolve(comm), time.perf_counter()
-    agree(comm, packing, tuple(betas), tuple(span), rotations, strain, prestress, rtol)
+    agree(comm, packing, betas, span, rotations, strain, prestress, rtol, displacements)
     for what, pair in (("betas", betas), ("span", span)):
         low, high = checked_span(pair, what)
         if low == high:
             raise InputError(f"{what}: must be 0 < low < high, not {low:g} twice")
+    if betas[1] > LARGEST_BETA:
+        raise InputError(
+            f"betas: at most {LARGEST_BETA:g}, not {betas[1]:g}; make a spectrum for each beyond"
+        )
     checked_rtol(rtol, 1e-10)
     mode = strain_mode(strain)
     problem = LinearProblem(packing, ContactDamping(1.0, rotations), [mode], prestress, comm)
@@ -148,6 +165,7 @@ def beta_family(
         performance = {
             "factorisations": len(nodes), "ranks": comm.size, "unknowns": dofs.size,
             "mumps_MB": solver.memory, "flops": solver.flops, "residual": motions.residual,
+            "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
             "seconds": comm.bcast(time.perf_counter() - start),
         }  # fmt: skip
     if not estimate <= rtol:
@@ -164,7 +182,13 @@ def beta_family(
         performance=performance, motions=fields, geometry=packing if displacements else None,
     )  # fmt: skip
     low, high = betas
-    return Family((float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations)
+    family = Family(
+        (float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations, (np.nan, np.nan)
+    )
+    if comm.bcast(any(np.isnan(family(beta).G0) for beta in betas)):
+        found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0")
+        family = replace(family, G0=(found.G, found.residual))
+    return family
 
 
 def _axes(span: tuple[float, float], betas: tuple[float, float]) -> list[Array]:
@@ -177,32 +201,41 @@ def _axes(span: tuple[float, float], betas: tuple[float, float]) -> list[Array]:
 def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:
     """Add nodes where the residual is largest until the error at a new one is below ``rtol``.
 
-    Returns the nodes (F, 2) and an estimate of the error left on the grid (:class:`Family`).
+    It must be so anywhere, and then once more in each third of the range of β. Returns the nodes (F, 2) and
+    an estimate of the error left on the grid (:class:`Family`).
     """
     comm = motions.problem.comm
     residual = _Residual(motions)
-    nodes: list[Array] = []
-    ratios: list[float] = []
-    for corner in _corners(grid):
+    nodes = list(_corners(grid))
+    for corner in nodes:
         residual.add(_vectors(motions, *corner))
-        nodes.append(corner)
+    fresh = ~(grid[:, None] == np.array(nodes)).all(2).any(1)
+    beta = np.log(grid[:, 1])
+    third = np.minimum(3 * (beta - beta.min()) / np.ptp(beta), 2).astype(int)
+    ratios: list[float] = []
+    passed = 0
     while True:
-        size = residual.squared(grid)
-        here = int(comm.bcast(np.argmax(size)))
-        node = grid[here : here + 1]
-        expected = SAFETY * size[here] * max(ratios[-LATEST:], default=np.inf)
-        before = _energies(motions, node)[0][0]
-        residual.add(_vectors(motions, *node[0]))
-        after = _energies(motions, node)[0][0]
+        size = comm.bcast(residual.squared(grid))
+        choice = np.flatnonzero(fresh & ((passed == 0) | (third == passed - 1)))
+        if len(choice) == 0 or size.max() == 0:
+            break
+        here = choice[np.argmax(size[choice])]
+        node, fresh[here] = grid[here], False
+        expected = SAFETY * size[here] * max(ratios, default=np.inf)
+        before = _energies(motions, node[None])[0][0]
+        residual.add(_vectors(motions, *node))
+        after = _energies(motions, node[None])[0][0]
         true = float(comm.bcast(abs(before / after - 1)))
-        nodes.append(node[0])
-        ratios.append(true / size[here])
+        nodes.append(node)
+        ratios += [true / size[here]] * bool(size[here] > 0)
         if progress:
             done = np.log(np.clip(true, rtol / 10, 1)) / np.log(rtol)
             progress(float(np.clip(done, 0, 1)), f"{len(nodes)} factorisations, |G*| was within {true:.0e}")
-        if max(true, expected) <= rtol or len(nodes) >= MOST_NODES:
-            left = SAFETY * residual.squared(grid).max() * max(ratios[-LATEST:])
-            return np.array(nodes), float(comm.bcast(left))
+        passed = passed + 1 if max(true, expected) <= rtol else 0
+        if passed > third.max() + 1 or len(nodes) >= MOST_NODES:
+            break
+    left = SAFETY * comm.bcast(residual.squared(grid)).max() * max(ratios, default=0.0)
+    return np.array(nodes), float(left)
 
 
 def _corners(grid: Array) -> Array:
@@ -248,7 +281,8 @@ class _Residual:
         motions = self.motions
         new = [] if self.columns else [force[:, None] for force in motions.forces]
         products = motions.extend(vectors)
-        fresh = np.stack(products, axis=2).reshape(len(products[0]), -1)  # forms within a motion
+        count = len(products) * products[0].shape[1]
+        fresh = np.stack(products, axis=2).reshape(len(products[0]), count)  # forms within a motion
         fresh = np.hstack([*new, fresh])
         across = [motions.dot(block, fresh) for block in self.columns]
         own = motions.dot(fresh, fresh)

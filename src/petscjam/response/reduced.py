@@ -37,9 +37,9 @@ EVERY = 4  # and every so many of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
 MOST_NODES = 40
 MOST_SPOILED = 3  # times that rounding of the gains may undo a bound that was met
-BEYOND = 1e3  # factor beyond the span, where the residual is looked for, too
+MOST_DECADES = 30
 PLATEAU = 1e-3  # distance of a limit from the end of the span, relative, above which it is solved for
-SILENT = 1e-13  # residual, relative to the forces of the affine motion, below which it is rounding
+SILENT = 1e-11  # residual, relative to the forces of the affine motion, below which it is rounding
 
 Complex = NDArray[np.complex128]
 
@@ -95,7 +95,7 @@ def spectrum(
         If a solve fails.
     """
     comm, start = resolve(comm), time.perf_counter()
-    agree(comm, packing, tuple(span), damping, strain, prestress, rtol)
+    agree(comm, packing, span, damping, strain, prestress, rtol, displacements)
     low, high = checked_span(span)
     checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)
@@ -117,7 +117,7 @@ def spectrum(
             prestress=prestress, packing=describe(packing, problem.backbone, name),
         )  # fmt: skip
         model = _until_certified(grow, make, progress)
-        limits, limit_errors = _own_limits(model, problem.notes)
+        limits, limit_errors = comm.bcast(_own_limits(model, problem.notes))
         if not limit_errors[1].max() < PLATEAU:
             found = limit_or_note(
                 lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞"
@@ -151,6 +151,8 @@ def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, 
         raise InputError(f"{what}: must be two numbers, not {span!r}") from None
     if not 0 < low <= high < np.inf:
         raise InputError(f"{what}: must be 0 < low ≤ high, not {low:g} and {high:g}")
+    if np.log10(high) - np.log10(low) > MOST_DECADES:
+        raise InputError(f"{what}: at most {MOST_DECADES} decades, not from {low:g} to {high:g}")
     return low, high
 
 
@@ -171,14 +173,14 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
 def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
     """Add nodes where the bound is worst until it is met, or cannot be; return the model."""
     (low, high), rtol, comm = make.keywords["span"], make.keywords["rtol"], grow.problem.comm
-    grid = np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * np.log10(high / low))))
+    grid = np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * (np.log10(high) - np.log10(low)))))
     candidates = grid[EVERY:-EVERY:EVERY] if len(grid) > 2 * EVERY else grid[1:-1]
     for omega in np.unique([low, high]):
         grow.add(omega, order=1)
     spoiled = 0
     while True:
         model = make(**comm.bcast(grow.model(grid)))
-        bound = comm.bcast(model.truncation(grid))
+        bound = comm.bcast(np.nan_to_num(model.truncation(grid), nan=np.inf))
         fresh = candidates[~np.isin(candidates, model.nodes)]
         last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES
         if last or bound.max() <= rtol:
@@ -309,8 +311,7 @@ class _Projection(Motions):
 
         K, B = self.reduced
         nodes = np.sort([node.omega for node in self.nodes])
-        beyond = np.array([grid[0] / BEYOND, grid[-1] * BEYOND])
-        grid = np.concatenate([grid, np.sqrt(nodes[1:] * nodes[:-1]), beyond])
+        grid = np.concatenate([grid, np.sqrt(nodes[1:] * nodes[:-1])])
         with np.errstate(divide="ignore", invalid="ignore"):
             log = -np.log(np.hypot(self._sizes[0], grid * self._sizes[1]))
             for rate in eigvals(K[1:, 1:], B[1:, 1:]) if len(K) > 1 else ():
@@ -318,4 +319,4 @@ class _Projection(Motions):
                     log -= np.log(abs(rate + 1j * grid))
             for node in self.nodes:
                 log += node.order * np.log(abs(grid**2 - node.omega**2))
-        return float(grid[np.argmax(np.where(np.isfinite(log), log, -np.inf))])
+        return float(self.problem.comm.bcast(grid[np.argmax(np.where(np.isfinite(log), log, -np.inf))]))

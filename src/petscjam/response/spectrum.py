@@ -24,9 +24,10 @@ from petscjam.packing.packing import Packing
 from petscjam.response.result import ComplexModulus, frequencies
 
 EPS = float(np.finfo(float).eps)
-ROUNDING = 32 * EPS  # of a sum over all contacts, relative to the sum of moduli; twice the worst that was seen
+ROUNDING = 32 * EPS  # of a sum over contacts, relative to the sum of moduli: twice the worst that was seen
 LARGEST_GAIN_ERROR = 0.1  # a node beyond it does not count
 GAIN_ALLOWANCE = 100  # times its error is added to a gain
+EDGE = 1e-9  # by how much a frequency may miss the end of the span, relative
 INSTANT = 1e-13  # share of friction in a motion, below which it relaxes at once
 
 Complex = NDArray[np.complex128]
@@ -134,7 +135,8 @@ class Spectrum:
     def error(self, omegas: ArrayLike) -> Array:
         """Return a bound on |ΔG*|/|G*| at ``omegas``: truncation of the model, and an estimate of rounding.
 
-        It holds at any frequency and grows outside ``span``. Where ``definite`` is False it is an estimate.
+        It holds at any frequency and grows outside ``span``; it is infinite there if the residual in the span
+        is all rounding, and for members of a family. Where ``definite`` is False it is an estimate.
         """
         omega = _positive(omegas)
         w = omega.ravel()
@@ -149,13 +151,16 @@ class Spectrum:
         return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
 
     def part_errors(self, omegas: ArrayLike) -> tuple[Array, Array]:
-        """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|."""
+        """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|.
+
+        For members of a family ``estimate`` stands for each part as for |G*|.
+        """
         omega = _positive(omegas)
         w = omega.ravel()
         G = self._modulus(w)
         square = self._residual(w) ** 2
         rise, fall = self._gain_parts(w)
-        whole, rounding = self._truncation(w) + self.estimate * abs(G), self._rounding(w)
+        whole, rounding = self._truncation(w), self._rounding(w)
         least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
         parts = []
         for part, first, second, rounded in (
@@ -163,7 +168,7 @@ class Spectrum:
             (abs(G.imag), fall, rise, rounding[1]),
         ):
             apart = self._scale * (abs(square.real) * first + abs(square.imag) * second)
-            bound = np.minimum(whole, apart + self.estimate * abs(G))
+            bound = np.minimum(whole, apart) if self.gains.any() else whole + self.estimate * part
             parts.append(_relative(bound + np.maximum(rounded, least * part), part).reshape(omega.shape))
         return parts[0], parts[1]
 
@@ -202,7 +207,8 @@ class Spectrum:
     def relaxation(self) -> Relaxation:
         """Return the relaxation times and weights g_j: G* = G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j).
 
-        They are the exact poles of the model. Negative times, in an unstable packing, grow.
+        They are the exact poles of the model, and G0 and η∞ its own (:meth:`own_limits`). Negative times, in
+        an unstable packing, grow.
         """
         rates, weights, _ = self._maxwell
         rising = np.argsort(1 / rates)
@@ -353,6 +359,9 @@ class Spectrum:
 
         As a modulus; so is the one from the bounds on both parts, where that is better.
         """
+        if not self.gains.any():
+            inside = (w >= self.span[0] * (1 - EDGE)) & (w <= self.span[1] * (1 + EDGE))
+            return np.where(inside, 0.0, np.inf)
         nodes, rise, fall = self._gains
         gain = (np.maximum(1, nodes / w[:, None]) * (rise + fall)).min(1, initial=np.inf)
         gain = np.minimum(gain, np.hypot(*self._gain_parts(w)))
