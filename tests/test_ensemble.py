@@ -217,6 +217,23 @@ def test_unstable_packings_are_left_out_and_named(moduli):
         average({name: mixed[name]})
 
 
+def test_an_average_is_exported(packings, moduli, tmp_path):
+    arguments = [*map(str, packings), "--omega", "1e-4:10:6"]
+    assert main(["moduli", *arguments, "-o", str(tmp_path / "g.h5")]) == 0
+    assert main(["export", str(tmp_path / "g.h5"), "--average", "-o", str(tmp_path / "mean.csv")]) == 0
+    columns = np.loadtxt(tmp_path / "mean.csv", delimiter=",", skiprows=3).T
+    mean = average(moduli)
+    assert np.allclose(columns[0], OMEGA, rtol=1e-11)
+    for values, (storage, loss) in zip(
+        (mean.mean, mean.scatter, mean.error), columns[1:].reshape(3, 2, -1), strict=True
+    ):
+        assert np.allclose(storage + 1j * loss, values, rtol=1e-5)
+    pattern = ["export", str(tmp_path / "g.h5"), "--average", "--group"]
+    assert main([*pattern, "p[12]-*", "-o", str(tmp_path / "two.csv")]) == 0
+    assert "mean of 2 packings" in (tmp_path / "two.csv").read_text()
+    assert main([*pattern, "none*", "-o", str(tmp_path / "none.csv")]) == 2
+
+
 def test_different_laws_do_not_average(moduli, packings):
     other = pj.spectrum(pj.Packing.read(packings[0]), (1e-4, 10.0), damping=pj.StokesDrag()).sample(OMEGA)
     with pytest.raises(InputError, match="different laws"):

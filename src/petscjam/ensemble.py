@@ -32,7 +32,7 @@ from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import ComplexModulus, frequencies
-from petscjam.storage import check_output, locked, naming, unlock
+from petscjam.storage import check_output, locked, naming, unlock, write_atomically
 
 FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
 LARGE = 20_000  # disks from which the memory of a factor is announced
@@ -296,6 +296,27 @@ def average(
     if several:
         scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
     return Average(omega, values.mean(0), scatter, scatter / np.sqrt(n), n, tuple(set(results) - set(kept)))
+
+
+def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write an average as CSV: ω, the means of G′ and G″, their scatter and their standard errors.
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists and ``overwrite`` is not set, or cannot be written.
+    """
+    check_output(path, overwrite=overwrite)
+    columns = [mean.omega]
+    for values in (mean.mean, mean.scatter, mean.error):
+        columns += [values.real, values.imag]
+    lines = [
+        f"# mean of {mean.count} packings; left out as unstable: {', '.join(mean.excluded) or 'none'}",
+        "# omega in 1/tau1, moduli in units of the potential; scatter: standard deviation; error: of mean",
+        "omega,G_storage,G_loss,scatter_storage,scatter_loss,error_storage,error_loss",
+        *(",".join(f"{x:.16e}" for x in row) for row in zip(*columns, strict=True)),
+    ]
+    write_atomically(path, "\n".join([*lines, ""]).encode())
 
 
 def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:

@@ -108,7 +108,16 @@ def build_parser() -> Parser:
         "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
         "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); default xyz or csv",
     )
-    p.add_argument("--group", metavar="NAME", help="which modulus of a file with several")
+    p.add_argument(
+        "--group",
+        metavar="NAME",
+        help="which modulus of a file with several; with --average a pattern, as 'N1024*'",
+    )
+    p.add_argument(
+        "--average",
+        action="store_true",
+        help="the mean over packings, with scatter and standard error; unstable ones are left out",
+    )
     p.add_argument(
         "--omega",
         type=frequencies,

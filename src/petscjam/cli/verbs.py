@@ -147,6 +147,7 @@ def export(options: argparse.Namespace, comm: Any) -> None:
     """Export a packing, or a result for rheologists."""
 
     def work() -> None:
+        from petscjam.ensemble import average, export_average
         from petscjam.io.exporters import FORMATS as PICTURES
         from petscjam.io.exporters import export_packing
         from petscjam.io.importers import import_packing
@@ -164,19 +165,36 @@ def export(options: argparse.Namespace, comm: Any) -> None:
             )
         target = options.output or options.file.with_suffix(f".{fmt}")
         check_output(target, overwrite=options.overwrite, inputs=[options.file])
-        if curve:
+        if curve and options.average:
+            if fmt != "csv":
+                raise InputError(f"export: --average is written as csv, not as {fmt}")
+            mean = average(_matching(options), options.omega)
+            export_average(mean, target, overwrite=options.overwrite)
+        elif curve:
             with naming(options.file):
                 export_rheology(
                     _one_result(options), target, fmt, omegas=options.omega, times=options.time,
                     overwrite=options.overwrite,
                 )  # fmt: skip
-        elif options.group or options.omega is not None or options.time is not None:
-            raise InputError("export: --group, --omega and --time go with results")
+        elif options.group or options.average or options.omega is not None or options.time is not None:
+            raise InputError("export: --group, --average, --omega and --time go with results")
         else:
             export_packing(import_packing(options.file), target, fmt, overwrite=options.overwrite)
         print(target)
 
     on_root(comm, work)
+
+
+def _matching(options: argparse.Namespace) -> dict[str, Any]:
+    from fnmatch import fnmatchcase
+
+    from petscjam.io.results import read_moduli
+
+    pattern = options.group or "*"
+    found = {name: g for name, g in read_moduli(options.file).items() if fnmatchcase(name, pattern)}
+    if not found:
+        raise InputError(f"--group: no result in {options.file} is called {pattern}")
+    return found
 
 
 def _one_result(options: argparse.Namespace) -> Any:
