@@ -29,7 +29,7 @@ from petscjam.response.matrices import assembled
 from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, agree, describe
 from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
-from petscjam.response.spectrum import Spectrum
+from petscjam.response.spectrum import Spectrum, relaxed
 
 PER_DECADE = 4, 4  # points of the grid in ω and β
 MOST_NODES = 80
@@ -261,10 +261,7 @@ def _energies(motions: Motions, points: Array) -> tuple[NDArray, NDArray]:
     K, B1, B0 = motions.reduced
     omega, beta = points.T[:, :, None, None]
     A = K + 1j * omega * (beta * B1 + (1 - beta) * B0)
-    size = np.sqrt(abs(np.einsum("gmm->gm", A)))[:, 1:]
-    Q = np.ones(A.shape[:2], dtype=complex)
-    scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
-    Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+    Q = relaxed(A)
     return np.einsum("gm,gm->g", Q, A[:, :, 0]), Q
 
 

@@ -331,18 +331,7 @@ class Spectrum:
 
     def _motion(self, w: Array) -> Complex:
         """Return Q = (1, y), (W, M), with (K + iωB)y = −(K + iωB)Q₀ on the motions without strain."""
-        Q = np.ones((len(w), len(self.K)), dtype=complex)
-        if len(self.K) > 1:
-            A = self.K + 1j * w[:, None, None] * self.B
-            size = np.sqrt(abs(np.einsum("wmm->wm", A)))[:, 1:]
-            scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
-            try:
-                Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
-            except np.linalg.LinAlgError:
-                raise SolverError(
-                    "the reduced model is singular: there are motions that nothing resists"
-                ) from None
-        return Q
+        return relaxed(self.K + 1j * w[:, None, None] * self.B)
 
     def _modulus(self, w: Array) -> Complex:
         Q = self._motion(w)
@@ -434,6 +423,27 @@ class Spectrum:
     @property
     def _middle(self) -> float:
         return float(np.sqrt(self.span[0] * self.span[1]))
+
+
+def relaxed(A: Complex) -> Complex:
+    """Return Q = (1, y), (W, M), of each ``A`` (W, M, M): no force on the motions without strain.
+
+    Raises
+    ------
+    SolverError
+        If a motion meets no resistance.
+    """
+    Q = np.ones(A.shape[:2], dtype=complex)
+    if A.shape[1] > 1:
+        size = np.sqrt(abs(np.einsum("wmm->wm", A)))[:, 1:]
+        scaled = A[:, 1:, 1:] / (size[:, :, None] * size[:, None, :])
+        try:
+            Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
+        except np.linalg.LinAlgError:
+            raise SolverError(
+                "the reduced model is singular: there are motions that nothing resists"
+            ) from None
+    return Q
 
 
 def _diagonal(K: Array, B: Array, omega: float) -> tuple[Array, Array, Array]:
