@@ -53,10 +53,10 @@ def test_direct_moduli_are_those_of_the_library(packing, tmp_path):
 def test_a_result_reads_back_as_it_was_written(packing, tmp_path):
     from dataclasses import fields
 
-    from petscjam.io.results import append_modulus
+    from petscjam.io.results import append_result
 
     g = pj.complex_modulus(pj.Packing.read(packing), [0.1, 1.0], fields_at=[1.0], name="sixteen")
-    append_modulus(g, tmp_path / "g.h5", "sixteen")
+    append_result(g, tmp_path / "g.h5", "sixteen")
     back = pj.read_modulus(tmp_path / "g.h5")
     for item in fields(g):
         if item.name in ("errors", "part_errors"):  # not known where each frequency is solved for

@@ -1062,10 +1062,10 @@ def test_unknown_negative_modes_and_notes_come_back(tmp_path):
 
 
 def test_a_model_comes_out_of_a_file_of_moduli(tmp_path):
-    from petscjam.io.results import append_modulus
+    from petscjam.io.results import append_result
 
     s = model(sixteen())
-    append_modulus(s.sample([0.1, 1.0]), tmp_path / "moduli.h5", "sixteen")
+    append_result(s.sample([0.1, 1.0]), tmp_path / "moduli.h5", "sixteen")
     back = pj.read_spectrum(tmp_path / "moduli.h5")
     for item in fields(s):
         if item.name not in ("motions", "geometry"):
@@ -1073,9 +1073,9 @@ def test_a_model_comes_out_of_a_file_of_moduli(tmp_path):
 
 
 def test_moduli_of_direct_solves_hold_no_model(tmp_path):
-    from petscjam.io.results import append_modulus
+    from petscjam.io.results import append_result
 
-    append_modulus(pj.complex_modulus(sixteen(), [1.0]), tmp_path / "moduli.h5", "sixteen")
+    append_result(pj.complex_modulus(sixteen(), [1.0]), tmp_path / "moduli.h5", "sixteen")
     with pytest.raises(pj.InputError, match=r"moduli\.h5: .*no reduced model"):
         pj.read_spectrum(tmp_path / "moduli.h5")
 

@@ -1,4 +1,4 @@
-"""Moduli of many packings under one or several laws, dealt to teams of ranks, and their averages.
+"""Results of many packings under one or several laws, dealt to teams of ranks, and averages of moduli.
 
 Axes: w frequency.
 """
@@ -21,7 +21,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.errors import InputError, SolverError
 from petscjam.io.importers import import_packing
-from petscjam.io.results import append_modulus, done, group_name, run_of
+from petscjam.io.results import append_result, done, group_name, read_results, run_of, settings_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root
@@ -40,7 +40,7 @@ LARGE = 20_000  # disks from which the memory of a factor is announced
 
 @dataclass(frozen=True)
 class Job:
-    """Moduli to find from one model: of a packing (a file), with or without pre-stress, under some laws.
+    """What one piece of work gives: of a packing (a file), with or without pre-stress, under some laws.
 
     Attributes
     ----------
@@ -48,14 +48,15 @@ class Job:
     checksum : str
     particles : int
     groups : dict
-        The name of the result for each law. Several laws differ in β alone, or in ηF alone.
+        The name of the result for each law. Several laws differ in β alone, or in ηF alone; None stands for
+        any law where none matters.
     prestress : bool
     """
 
     file: Path
     checksum: str
     particles: int
-    groups: dict[DampingLaw, str]
+    groups: dict[Any, str]
     prestress: bool
 
     def missing(self, there: set[tuple[str, str, bool]]) -> set[str]:
@@ -103,10 +104,7 @@ def sweep(
     fields_at = np.asarray(fields_at, dtype=float)
 
     def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
-        for file in files:
-            if not file.exists():
-                raise InputError(f"{file}: no such file")
-        check_output(output, overwrite=overwrite or resume, inputs=files)
+        _check_files(files, output, overwrite=overwrite or resume)
         jobs = list(_jobs(files, laws, prestress, together=not direct))
         there: set[tuple[str, str, bool]] = set()
         if resume and Path(output).exists():
@@ -117,6 +115,103 @@ def sweep(
         return jobs, there
 
     jobs, there = on_root(comm, plan)
+
+    def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, ComplexModulus]]:
+        return _solve(
+            job, team, omegas, strain, rtol, direct, fields_at, report,
+            out_of_core=out_of_core, block_low_rank=block_low_rank,
+        )  # fmt: skip
+
+    return _run(
+        jobs, there, output, solve, _Line(), comm=comm, team_size=team_size, resume=resume,
+        out_of_core=out_of_core, progress=progress, log=log,
+    )  # fmt: skip
+
+
+def survey(
+    files: Sequence[Path],
+    output: str | PathLike[str],
+    analyse: Callable[..., Any],
+    settings: Mapping[str, Any],
+    *,
+    laws: Sequence[DampingLaw | None] = (None,),
+    prestress: Sequence[bool] = (True,),
+    comm: Any,
+    team_size: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Report | None = None,
+    log: Callable[[str], None] = print,
+) -> tuple[int, list[str]]:
+    """Add ``analyse(packing, **settings, prestress=…, comm=…, name=…, progress=…)`` of each file.
+
+    With ``damping=…`` besides, for each of ``laws``, unless that is None. Dealt to teams, stored, resumed and
+    told as in :func:`sweep`, whose other parameters and results are the same.
+
+    Raises
+    ------
+    InputError
+        On files that are missing or no packings, an output that exists or was made with other settings.
+    """
+    wanted = ", ".join(f"{key} = {_plainly(value)}" for key, value in settings.items())
+
+    def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
+        _check_files(files, output, overwrite=overwrite or resume)
+        jobs = list(_jobs(files, laws, prestress, together=False))
+        there: set[tuple[str, str, bool]] = set()
+        if resume and Path(output).exists():
+            made_with = settings_of(output)
+            for name, result in read_results(output).items():
+                if made_with[name] != wanted:
+                    own = made_with[name]
+                    raise InputError(f"{output}: {name} was made with {own}, not {wanted}; cannot be resumed")
+                law = str(getattr(result, "damping", None))
+                there.add((result.packing["checksum"], law, result.prestress))
+        return jobs, there
+
+    def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, Any]]:
+        packing: Packing = on_root(team.comm, import_packing, job.file)
+        for law, name in job.groups.items():
+            with naming(job.file):
+                yield name, analyse(
+                    packing, **settings, **({} if law is None else {"damping": law}), prestress=job.prestress,
+                    comm=team.comm, name=job.file.stem, progress=report,
+                )  # fmt: skip
+
+    jobs, there = on_root(comm, plan)
+    return _run(
+        jobs, there, output, solve, lambda name, result, seconds: f"{name}: {seconds:.1f} s", comm=comm,
+        team_size=team_size, resume=resume, made_with=wanted, progress=progress, log=log,
+    )  # fmt: skip
+
+
+def _plainly(value: Any) -> str:
+    return str(np.asarray(value).tolist())
+
+
+def _check_files(files: Sequence[Path], output: str | PathLike[str], *, overwrite: bool) -> None:
+    for file in files:
+        if not file.exists():
+            raise InputError(f"{file}: no such file")
+    check_output(output, overwrite=overwrite, inputs=files)
+
+
+def _run(
+    jobs: Sequence[Job],
+    there: set[tuple[str, str, bool]],
+    output: str | PathLike[str],
+    solve: Callable[[Job, Team, Report | None], Iterator[tuple[str, Any]]],
+    line: Callable[[str, Any, float], str],
+    *,
+    comm: Any,
+    team_size: int | None,
+    resume: bool,
+    made_with: str = "",
+    out_of_core: bool = False,
+    progress: Report | None,
+    log: Callable[[str], None],
+) -> tuple[int, list[str]]:
+    """Deal what is missing to teams, and store each result as it comes."""
     jobs = [job for job in jobs if job.missing(there)]
     run = comm.bcast(uuid4().hex)
     made, failures = 0, []
@@ -129,20 +224,18 @@ def sweep(
                 if job.particles >= LARGE and team.comm.rank == 0:
                     log(f"{job.file.stem}: {job.particles} disks, a factor of about "
                         f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks")  # fmt: skip
-                start, nodes = time.perf_counter(), None
+                start = time.perf_counter()
                 try:
-                    for name, result in _solve(
-                        job, team, omegas, strain, rtol, direct, fields_at, report,
-                        out_of_core=out_of_core, block_low_rank=block_low_rank,
-                    ):  # fmt: skip
+                    for name, result in solve(job, team, report):
                         if name not in job.missing(there):
                             continue
-                        on_root(team.comm, _store, result, output, name, run, resume, team.count > 1)
+                        on_root(
+                            team.comm, _store, result, output, name, run, resume, team.count > 1, made_with
+                        )
                         made += team.comm.rank == 0
                         if team.comm.rank == 0:
-                            same = result.model is not None and result.model.nodes is nodes
-                            log(_line(name, result, time.perf_counter() - start, same=same))
-                        start, nodes = time.perf_counter(), result.model and result.model.nodes
+                            log(line(name, result, time.perf_counter() - start))
+                        start = time.perf_counter()
                 except (InputError, SolverError) as error:  # the same on all ranks of the team
                     if len(jobs) == 1:
                         raise
@@ -154,13 +247,13 @@ def sweep(
 
 
 def _jobs(
-    files: Sequence[Path], laws: Sequence[DampingLaw], prestress: Sequence[bool], *, together: bool
+    files: Sequence[Path], laws: Sequence[DampingLaw | None], prestress: Sequence[bool], *, together: bool
 ) -> Iterator[Job]:
     """Name every result: by packing and checksum, and by law and pre-stress where there are several.
 
     ``together`` gives the laws that one model can serve to one job.
     """
-    sets: dict[Any, list[DampingLaw]] = {}
+    sets: dict[Any, list[DampingLaw | None]] = {}
     for law in dict.fromkeys(laws):
         alike: Any = law
         if together and isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA:
@@ -225,23 +318,31 @@ def _solve(
 
 
 def _store(
-    result: ComplexModulus, output: str | PathLike[str], group: str, run: str, keep: bool, shared: bool
+    result: Any, output: str | PathLike[str], group: str, run: str, keep: bool, shared: bool, made_with: str
 ) -> None:
     """Add a result; the first one of a run that does not keep what is there replaces the file."""
     with locked(output) if shared else nullcontext():
-        append_modulus(result, output, group, run=run, fresh=not keep and run_of(output) != run)
+        fresh = not keep and run_of(output) != run
+        append_result(result, output, group, run=run, fresh=fresh, made_with=made_with)
 
 
-def _line(group: str, g: ComplexModulus, seconds: float, *, same: bool) -> str:
-    made = g.performance
-    certificate = f"residual {g.residuals.max():.1e}"
-    if g.model is not None:
-        certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
-    flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
-    return (
-        f"{group}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
-        f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
-    )
+@dataclass
+class _Line:
+    """One line on each modulus; it remembers which model the latest one came from."""
+
+    nodes: Any = None
+
+    def __call__(self, group: str, g: ComplexModulus, seconds: float) -> str:
+        made, same = g.performance, g.model is not None and g.model.nodes is self.nodes
+        self.nodes = g.model and g.model.nodes
+        certificate = f"residual {g.residuals.max():.1e}"
+        if g.model is not None:
+            certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
+        flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
+        return (
+            f"{group}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
+            f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
+from petscjam.analysis.viscosity import Viscosity
 from petscjam.network import ContactNetwork
 from petscjam.packing.library import Library
 from petscjam.packing.packing import Packing
@@ -93,12 +96,73 @@ def _mean(values: list[float]) -> str:
     return f"{np.mean(values):.6f} ± {np.std(values, ddof=1) / len(values) ** 0.5:.6f}"
 
 
-def table(results: Mapping[str, ComplexModulus]) -> str:
+def table(results: Mapping[str, Any]) -> str:
+    """Return ``results`` of one kind as a table."""
+    if not results:
+        return "no results yet"
+    kind = type(next(iter(results.values())))
+    return moduli_table(results) if kind is ComplexModulus else _rows(results, *COLUMNS[kind])
+
+
+def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mapping[str, float | str]]) -> str:
+    """Return a line for each result, with its notes below."""
+    header = f"{units}; {next(iter(results.values())).strain}"
+    width = max(len(name) for name in results)
+    rows = {
+        name: {
+            "N": f"{r.packing['particles']}", "p": f"{r.packing['pressure']:.3e}",
+            "pre-stress": "with" if r.prestress else "without",
+            **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in columns(r).items()},
+        }
+        for name, r in results.items()
+    }  # fmt: skip
+    heads = {key: max(len(key), *(len(row[key]) for row in rows.values())) for key in rows[next(iter(rows))]}
+    lines = [header, " ".join([f"{'packing':{width}}", *(f"{key:>{w}}" for key, w in heads.items())])]
+    for name, row in rows.items():
+        lines.append(" ".join([f"{name:{width}}", *(f"{row[key]:>{w}}" for key, w in heads.items())]))
+        lines += [f"{'':{width}} {note}" for note in results[name].notes]
+    return "\n".join(lines)
+
+
+def _nonaffine(r: QuasistaticResponse) -> dict[str, float | str]:
+    medians = {f"median {motion}": float(np.median(r.sizes(motion))) for motion in MOTIONS}
+    means = {f"mean {motion}": float(r.sizes(motion).mean()) for motion in MOTIONS}
+    return {
+        "G0": r.shear_modulus, "stretching": r.stretching, "pre-stress term": r.pre_stress,
+        **medians, **means, "residual": f"{r.residual:.0e}", "state": _verdict(r, r.shear_modulus),
+    }  # fmt: skip
+
+
+def _viscosity(r: Viscosity) -> dict[str, float | str]:
+    state = _verdict(r, r.G0)
+    return {
+        "law": str(r.damping),
+        "eta0": r.eta0,
+        "G0": r.G0,
+        "residual": f"{r.residual:.0e}",
+        "state": state,
+    }
+
+
+def _verdict(r: QuasistaticResponse | Viscosity, G0: float) -> str:
+    faults = ["G0 ≤ 0"] * (G0 <= 0)
+    if r.negative_modes != 0:
+        faults += ["unknown" if r.negative_modes is None else f"{r.negative_modes} negative modes"]
+    return "stable" if r.stable else f"UNSTABLE: {', '.join(faults)}"
+
+
+COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
+    QuasistaticResponse: ("moduli in k, motions in d per unit strain", _nonaffine),
+    Viscosity: ("viscosity in k tau1, modulus in k", _viscosity),
+}
+
+
+def moduli_table(results: Mapping[str, ComplexModulus]) -> str:
     """Return a table of ``results`` for each law: limits, worst error, and whether the packing is stable."""
     blocks: dict[tuple[str, str, bool, bool], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
         blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None), {})[name] = g
-    return "\n\n".join(_block(some) for some in blocks.values()) or "no results yet"
+    return "\n\n".join(_block(some) for some in blocks.values())
 
 
 def _block(results: Mapping[str, ComplexModulus]) -> str:

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
-from petscjam.cli import verbs
+from petscjam.cli import analyses, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
 from petscjam.cli.values import frequencies, number, numbers, points, seeds, whole
@@ -133,27 +133,12 @@ def build_parser() -> Parser:
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
-    p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
+    packings(p)
     p.add_argument("--omega", type=frequencies, default="1e-8:1e2:61", metavar="RANGE",
                    help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
                         "or a list A,B,… (default 1e-8:1e2:61)")  # fmt: skip
-    p.add_argument("--damping", choices=LAWS, default="contact", help="viscous force law (default contact)")
-    for law in LAWS.values():
-        for item in fields(law):
-            text = f"{law.name}: {item.metadata['help']}"
-            if isinstance(item.default, bool):
-                p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
-            else:
-                text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
-                p.add_argument(option(item), dest=item.name, type=numbers, metavar="X,…", help=text)
-    p.add_argument("--strain", choices=STRAINS, default="simple-shear",
-                   help="mode of deformation (default simple-shear)")  # fmt: skip
-    either = p.add_mutually_exclusive_group()
-    p.set_defaults(prestress=[True])
-    either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False],
-                        help="leave out the forces of the initial state")  # fmt: skip
-    either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False],
-                        help="with and without these, side by side")  # fmt: skip
+    damping(p)
+    strain_and_prestress(p)
     p.add_argument(
         "--fields",
         type=frequencies,
@@ -166,20 +151,69 @@ def build_parser() -> Parser:
                         "frequency (default 1e-6)")  # fmt: skip
     p.add_argument("--direct", action="store_true",
                    help="one factorisation a frequency instead of the reduced model")  # fmt: skip
-    p.add_argument("--team-size", type=int, metavar="R",
-                   help="ranks that work on a packing together (default 1; more where packings are few or "
-                        "large)")  # fmt: skip
+    team_size(p)
     p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
     p.add_argument("--block-low-rank", type=number, default=0.0, metavar="X",
                    help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it "
                         "(default 0: exact)")  # fmt: skip
     output(p, "OUT.h5", "results, one group a packing")
 
-    p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or G' and G'' of a result")
+    text = "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain"
+    p = add(known, "nonaffine", analyses.nonaffine, text, RANKS)
+    packings(p)
+    strain_and_prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", "relative displacements of every contact and non-affine motion of every disk")
+
+    p = add(known, "viscosity", analyses.viscosity, "viscosity eta0 and modulus G0 at omega -> 0", RANKS)
+    packings(p)
+    damping(p)
+    strain_and_prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", "eta0 and G0, one group a packing and law")
+
+    p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or a file of results")
     p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
     output(p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)",
            required=False, resume=False)  # fmt: skip
     return parser
+
+
+def packings(p: Parser) -> None:
+    """Add the packings to work on."""
+    p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
+
+
+def damping(p: Parser) -> None:
+    """Add the damping laws, every field of each."""
+    p.add_argument("--damping", choices=LAWS, default="contact", help="viscous force law (default contact)")
+    for law in LAWS.values():
+        for item in fields(law):
+            text = f"{law.name}: {item.metadata['help']}"
+            if isinstance(item.default, bool):
+                p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
+            else:
+                text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
+                p.add_argument(option(item), dest=item.name, type=numbers, metavar="X,…", help=text)
+
+
+def strain_and_prestress(p: Parser) -> None:
+    """Add the mode of deformation, and which terms of K count."""
+    p.add_argument("--strain", choices=STRAINS, default="simple-shear",
+                   help="mode of deformation (default simple-shear)")  # fmt: skip
+    either = p.add_mutually_exclusive_group()
+    p.set_defaults(prestress=[True])
+    either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False],
+                        help="leave out the forces of the initial state")  # fmt: skip
+    either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False],
+                        help="with and without these, side by side")  # fmt: skip
+
+
+def team_size(p: Parser) -> None:
+    """Add how ranks share the work."""
+    p.add_argument("--team-size", type=int, metavar="R",
+                   help="ranks that work on a packing together (default 1; more where packings are few or "
+                        "large)")  # fmt: skip
 
 
 def add(known: Any, verb: str, work: Callable, text: str, epilog: str = "") -> Parser:

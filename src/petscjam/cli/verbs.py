@@ -96,14 +96,14 @@ def info(options: argparse.Namespace, comm: Any) -> None:
 
     def text() -> str:
         from petscjam.io.importers import import_packing
-        from petscjam.io.results import is_result, read_moduli
+        from petscjam.io.results import is_result, read_results
         from petscjam.packing.library import read_library
         from petscjam.report import describe_library, describe_packing, table
 
         if options.file.is_dir():
             return describe_library(read_library(options.file))
         if is_result(options.file):
-            return table(read_moduli(options.file))
+            return table(read_results(options.file))
         return describe_packing(import_packing(options.file))
 
     say(comm, on_root(comm, text))
@@ -216,6 +216,27 @@ def packings_of(given: Path) -> list[Path]:
     return [file for file in sorted(given.glob("*.h5")) if not is_result(file)] if given.is_dir() else [given]
 
 
+def all_packings(given: list[Path]) -> list[Path]:
+    """Return the packings of all files and folders that are ``given``; refuse if there are none."""
+    found = [file for one in given for file in packings_of(one)]
+    if not found:
+        raise InputError(f"{given[0]}: no packings in this folder")
+    return found
+
+
+def check_team_size(options: argparse.Namespace) -> None:
+    """Refuse teams without ranks."""
+    if options.team_size is not None and options.team_size < 1:
+        raise InputError(f"{options.verb}: --team-size must be at least 1, not {options.team_size}")
+
+
+def finish(failures: list[str], what: str) -> None:
+    """Raise if some of the work failed."""
+    if failures:
+        lines = "".join(f"\n  {failure}" for failure in failures)
+        raise SolverError(f"{len(failures)} {what} failed; --resume tries them again:{lines}")
+
+
 def moduli(options: argparse.Namespace, comm: Any) -> None:
     """Find G* of packing after packing, dealt to teams of ranks; each result is written as it comes."""
     import numpy as np
@@ -229,8 +250,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     start(comm)
     laws, omega = chosen_laws(options), options.omega
-    if options.team_size is not None and options.team_size < 1:
-        raise InputError(f"moduli: --team-size must be at least 1, not {options.team_size}")
+    check_team_size(options)
     reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0]
     if options.direct and any(reduced):
         raise InputError(
@@ -247,16 +267,10 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
             raise InputError(f"--fields {w:g} lies outside the sweep")
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
 
-    def files() -> list[Path]:
-        found = [file for given in options.packings for file in packings_of(given)]
-        if not found:
-            raise InputError(f"{options.packings[0]}: no packings in this folder")
-        return found
-
     with progress("moduli", show=comm.rank == 0) as report:
         made, failures = sweep(
-            on_root(comm, files), omega, options.output, laws=laws, prestress=options.prestress,
-            strain=options.strain, rtol=rtol, direct=options.direct,
+            on_root(comm, all_packings, options.packings), omega, options.output, laws=laws,
+            prestress=options.prestress, strain=options.strain, rtol=rtol, direct=options.direct,
             fields_at=omega[np.unique(np.array(nearest, dtype=int))], comm=comm, team_size=options.team_size,
             resume=options.resume, overwrite=options.overwrite, out_of_core=options.out_of_core,
             block_low_rank=options.block_low_rank, progress=report,
@@ -266,9 +280,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
         say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
-    if failures:
-        lines = "".join(f"\n  {failure}" for failure in failures)
-        raise SolverError(f"{len(failures)} moduli failed; --resume tries them again:{lines}")
+    finish(failures, "moduli")
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:
@@ -276,9 +288,9 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
 
     def work() -> None:
         from petscjam.io.importers import import_packing
-        from petscjam.io.results import is_result, read_moduli
+        from petscjam.io.results import is_result, read_results
         from petscjam.packing.library import read_library
-        from petscjam.plots import plot_library, plot_moduli, plot_packing
+        from petscjam.plots import plot_library, plot_packing, plot_results
         from petscjam.storage import check_output
 
         given: Path = options.file
@@ -288,7 +300,7 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
         if folder:
             plot_library(read_library(given).rows, target)
         elif is_result(given):
-            plot_moduli(read_moduli(given), target)
+            plot_results(read_results(given), target)
         else:
             plot_packing(import_packing(given), target)
         print(target)

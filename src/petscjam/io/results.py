@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, fields
+from dataclasses import Field, asdict, fields
 from os import PathLike, path
 from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.nonaffine import QuasistaticResponse
+from petscjam.analysis.viscosity import Viscosity
 from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError
@@ -19,14 +21,20 @@ from petscjam.response.spectrum import Spectrum
 from petscjam.storage import HDF5_SIGNATURE, atomic_h5, check_output, naming, open_h5
 
 FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
+KINDS: dict[str, type] = {
+    FORMAT: ComplexModulus,
+    "petscjam nonaffine": QuasistaticResponse,
+    "petscjam viscosity": Viscosity,
+}
 UNITS = {
     "omega": "1/tau1", "values": "stress", "residuals": "1", "power_balance": "1", "G0": "stress",
     "eta0": "stress*tau1", "G_inf": "stress", "eta_inf": "stress*tau1", "field_omega": "1/tau1",
     "fields": "length per unit strain", "nodes": "1/tau1", "span": "1/tau1",
-    "motions": "length per unit strain",
+    "motions": "length per unit strain", "parallel": "length per unit strain",
+    "transverse": "length per unit strain", "nonaffine": "length per unit strain",
+    "shear_modulus": "stress", "stretching": "stress", "pre_stress": "stress",
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
-OPTIONAL = ("geometry", "negative_modes", "model", "motions")
 DERIVED = ("stable",)  # written for other readers, never read back
 
 
@@ -35,25 +43,38 @@ def group_name(packing: Packing, name: str) -> str:
     return f"{name}-{packing.checksum[:8]}"
 
 
-def append_modulus(
-    result: ComplexModulus, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = ""
+def append_result(
+    result: Any,
+    file: str | PathLike[str],
+    group: str,
+    *,
+    fresh: bool = False,
+    run: str = "",
+    made_with: str = "",
 ) -> None:
-    """Add ``result`` to ``file`` as ``group``; the file is whole at every moment.
+    """Add ``result``, one of ``KINDS``, to ``file`` as ``group``; the file is whole at every moment.
 
-    With ``fresh`` it replaces whatever the file held. ``run`` tells who wrote last.
+    With ``fresh`` it replaces whatever the file held. ``run`` tells who wrote last, ``made_with`` how
+    the result was made.
 
     Raises
     ------
     InputError
-        If the file cannot be read or written.
+        If the file cannot be read or written, or holds results of another kind.
     """
+    kind = next(name for name, known in KINDS.items() if type(result) is known)
     with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
-        h5.attrs.update(format=FORMAT, schema=SCHEMA, run=run)
+        there = h5.attrs.get("format", kind)
+        if there != kind:
+            raise InputError(f"{file}: holds {there!r}, not {kind!r}")
+        h5.attrs.update(format=kind, schema=SCHEMA, run=run)
         node = h5.create_group(group)
+        node.attrs["made_with"] = made_with
         for item in fields(result):
             _write(node, item.name, getattr(result, item.name))
         for name in DERIVED:
-            node.attrs[name] = getattr(result, name)
+            if hasattr(result, name):
+                node.attrs[name] = getattr(result, name)
 
 
 def run_of(file: str | PathLike[str]) -> str | None:
@@ -69,7 +90,32 @@ def is_result(file: str | PathLike[str]) -> bool:
         if raw.read(8) != HDF5_SIGNATURE:
             return False
     with open_h5(file) as h5:
-        return h5.attrs.get("format") in (FORMAT, FORMAT_MODEL)
+        return h5.attrs.get("format") in (*KINDS, FORMAT_MODEL)
+
+
+def read_results(file: str | PathLike[str]) -> dict[str, Any]:
+    """Return every result of ``file`` by the name of its group: all of one of ``KINDS``.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or holds no results.
+    """
+    with open_h5(file) as h5:
+        kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
+        if kind == FORMAT_MODEL and schema == SCHEMA:
+            model = _read_model(h5)
+            points = 1 + int(np.ceil(10 * np.log10(model.span[1] / model.span[0])))
+            return {model.packing["name"]: model.sample(np.geomspace(*model.span, points))}
+        if kind not in KINDS or schema != SCHEMA:
+            raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
+        return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}
+
+
+def settings_of(file: str | PathLike[str]) -> dict[str, str]:
+    """Return what each result of ``file`` was made with, by the name of its group."""
+    with open_h5(file) as h5:
+        return {name: node.attrs.get("made_with", "") for name, node in h5.items()}
 
 
 def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
@@ -82,15 +128,11 @@ def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
     InputError
         If the file is missing, damaged, or not one of moduli.
     """
-    with open_h5(file) as h5:
-        kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
-        if (kind, schema) == (FORMAT_MODEL, SCHEMA):
-            model = _read_model(h5)
-            points = 1 + int(np.ceil(10 * np.log10(model.span[1] / model.span[0])))
-            return {model.packing["name"]: model.sample(np.geomspace(*model.span, points))}
-        if (kind, schema) != (FORMAT, SCHEMA):
-            raise InputError(f"holds {kind!r} with schema {schema}, not {FORMAT!r} with schema {SCHEMA}")
-        return {name: _read(node) for name, node in h5.items()}
+    results = read_results(file)
+    for g in results.values():
+        if not isinstance(g, ComplexModulus):
+            raise InputError(f"{file}: holds results of another kind ({type(g).__name__}), not moduli")
+    return results
 
 
 def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
@@ -201,7 +243,7 @@ def _write(node: Any, name: str, value: Any) -> None:
             _write(model, item.name, getattr(value, item.name))
     elif isinstance(value, DampingLaw):
         node.create_group(name).attrs.update({"law": value.name, **asdict(value)})
-    elif name == "notes":
+    elif isinstance(value, tuple) and all(isinstance(line, str) for line in value):
         node.attrs[name] = "\n".join(value)
     elif value is not None:
         node.attrs[name] = value
@@ -209,46 +251,38 @@ def _write(node: Any, name: str, value: Any) -> None:
             node.attrs[f"{name} unit"] = UNITS[name]
 
 
-def _read(node: Any) -> ComplexModulus:
-    return ComplexModulus(**_values(node, ComplexModulus))
-
-
 def _read_model(node: Any) -> Spectrum:
     values = _values(node, Spectrum)
-    settings = values["damping"]
-    law = LAWS[settings.pop("law")](**settings)
     pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
-    return Spectrum(**{**values, **pairs, "damping": law})
+    return Spectrum(**{**values, **pairs})
 
 
-def _values(node: Any, kind: type[ComplexModulus | Spectrum]) -> dict[str, Any]:
-    missing = [item.name for item in fields(kind) if not _has(node, item.name)]
+def _values(node: Any, kind: type) -> dict[str, Any]:
+    there = {*node, *node.attrs}
+    missing = [item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)]
     if missing:
         raise InputError(f"{node.name} lacks {', '.join(missing)}")
-    return {item.name: _value(node, item.name) for item in fields(kind)}
+    return {item.name: _value(node, item) if item.name in there else None for item in fields(kind)}
 
 
-def _has(node: Any, name: str) -> bool:
-    return name in OPTIONAL or name in node or name in node.attrs
+def _may_be_none(item: Field) -> bool:
+    return "None" in str(item.type)
 
 
-def _value(node: Any, name: str) -> Any:
-    if name in OPTIONAL and name not in node and name not in node.attrs:
-        return None
-    if name == "model":
-        return _read_model(node[name])
-    if name == "geometry":
-        g = node[name]
-        return Packing(g["positions"][()], g["radii"][()], Box(g["cell"][()]), g.attrs["potential"])
-    if name == "notes":
-        return tuple(node.attrs[name].splitlines())
-    if name in node:
-        return _attributes(node[name].attrs.items()) if hasattr(node[name], "keys") else node[name][()]
-    return _plain(node.attrs[name])
-
-
-def _attributes(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {key: _plain(value) for key, value in items}
+def _value(node: Any, item: Field) -> Any:
+    if item.name not in node:
+        value = _plain(node.attrs[item.name])
+        return tuple(value.splitlines()) if str(item.type).startswith("tuple[str") else value
+    inside = node[item.name]
+    if item.name == "model":
+        return _read_model(inside)
+    if item.name == "geometry":
+        cell, potential = Box(inside["cell"][()]), inside.attrs["potential"]
+        return Packing(inside["positions"][()], inside["radii"][()], cell, potential)
+    if not hasattr(inside, "keys"):
+        return inside[()]
+    attributes = {key: _plain(value) for key, value in inside.attrs.items()}
+    return LAWS[attributes.pop("law")](**attributes) if "law" in attributes else attributes
 
 
 def _plain(value: Any) -> Any:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from petscjam.errors import InputError
 from petscjam.storage import write_atomically
@@ -31,3 +34,16 @@ def save(figure: Figure, path: str | PathLike[str], dpi: float = 150) -> None:
     picture = BytesIO()
     figure.savefig(picture, dpi=dpi, format=kind)
     write_atomically(path, picture.getvalue())
+
+
+def given(prestress: bool) -> str:
+    """Say whether there is pre-stress."""
+    return f"with{'' if prestress else 'out'} pre-stress"
+
+
+def by_pressure(pressures: Sequence[float]) -> Callable[[float], Any]:
+    """Return the colour of a pressure: darker where it is lower."""
+    from matplotlib import colormaps
+
+    low, high = np.log(min(pressures)), np.log(max(pressures))
+    return lambda p: colormaps["viridis"](0.9 * (np.log(p) - low) / (high - low) if high > low else 0.4)

@@ -1,0 +1,1 @@
+"""What the response says: non-affine motion, correlations, densities, scaling, nonlinear drag."""

@@ -1,0 +1,138 @@
+"""The quasi-static response: how contacts slide and disks leave the affine motion (BT eqs. 4, 19–21).
+
+Axes: c contact of the backbone, i disk of the backbone, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.box import Array, Integers
+from petscjam.damping import ContactDamping
+from petscjam.kinematics import contact_rows, strain_mode
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve
+from petscjam.progress import Report
+from petscjam.response.limits import quasistatic
+from petscjam.response.problem import LinearProblem, agree, describe
+
+MOTIONS = ("parallel", "transverse", "nonaffine")
+
+
+@dataclass(frozen=True, eq=False)
+class QuasistaticResponse:
+    """Motion at ω → 0 of one packing, per unit strain. Units: length d, stress k (BT) or ke/d² (VOT).
+
+    Attributes
+    ----------
+    shear_modulus : float
+        G0 (of ``compression`` the bulk modulus).
+    parallel, transverse : (C,)
+        Δu∥ and Δu⊥ of each contact at the centres, the affine motion included.
+    nonaffine : (n, 2)
+        u_na of each disk of the backbone; its mean is zero.
+    stretching, pre_stress : float
+        Σ k(Δu∥)²/V and −Σ (f/r)(Δu⊥)²/V, the two terms of BT eq. 4: they add up to G0 in simple shear.
+    disks : (n,)
+        Which disks of the packing these are.
+    contacts : (C, 2)
+        Disks of each contact.
+    residual : float
+        ‖Ku − f‖/‖f‖ of the solve.
+    negative_modes : int or None
+        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    strain : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    geometry : Packing
+    """
+
+    shear_modulus: float
+    parallel: Array
+    transverse: Array
+    nonaffine: Array
+    stretching: float
+    pre_stress: float
+    disks: Integers
+    contacts: Integers
+    residual: float
+    negative_modes: int | None
+    strain: str
+    prestress: bool
+    packing: dict[str, Any]
+    geometry: Packing
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def stable(self) -> bool:
+        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
+        return self.shear_modulus > 0 and self.negative_modes == 0
+
+    def sizes(self, motion: str) -> Array:
+        """Return |Δu∥| or |Δu⊥| of every contact or |u_na| of every disk: one of ``MOTIONS``."""
+        values: NDArray = getattr(self, motion)
+        return np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
+
+
+def quasistatic_response(
+    packing: Packing,
+    *,
+    prestress: bool = True,
+    strain: str = "simple-shear",
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> QuasistaticResponse:
+    """Relax the energy at unit strain: K u = −K_uγ on the backbone (BT, Relation to floppiness).
+
+    Parameters
+    ----------
+    packing : Packing
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    strain : str
+        ``simple-shear``, ``pure-shear`` or ``compression``.
+    comm : MPI communicator
+        Left out: COMM_SELF. Results are the same arrays on every rank.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Raises
+    ------
+    InputError
+        On an unknown strain, or a packing without a connected backbone.
+    SolverError
+        If K is singular on the backbone.
+    """
+    comm = resolve(comm)
+    agree(comm, packing, prestress, strain)
+    mode = strain_mode(strain)
+    # which law is immaterial: only K enters
+    problem = LinearProblem(packing, ContactDamping(), [mode], prestress, comm)
+    (q,), residual = quasistatic(problem)
+    network = problem.backbone
+    rows, affine = contact_rows(network, [mode], at_contact_point=False)
+    parallel, transverse = (rows @ q.real.ravel() + affine[:, 0]).reshape(-1, 2).T
+    scale = mode.scale / packing.box.area
+    stretching = scale * float(network.stiffness @ parallel**2)
+    slack = -scale * prestress * float(network.force / network.distance @ transverse**2)
+    curvature = scale * float(problem.K_backbone.extra[0, 0])
+    if progress:
+        progress(1.0, f"residual {residual:.0e}")
+    return QuasistaticResponse(
+        shear_modulus=stretching + slack + curvature + mode.pressure_term * problem.pressure,
+        parallel=parallel, transverse=transverse,
+        nonaffine=problem.displacement(q)[network.backbone].real,
+        stretching=stretching, pre_stress=slack, disks=np.flatnonzero(network.backbone),
+        contacts=np.stack([network.i, network.j], axis=1), residual=residual,
+        negative_modes=problem.negative_modes, strain=strain, prestress=prestress,
+        packing=describe(packing, network, name), geometry=packing, notes=tuple(problem.notes),
+    )  # fmt: skip

@@ -1,0 +1,85 @@
+"""The viscosity at ω → 0, and the modulus there, without a sweep (BT eq. 22, Fig. 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from petscjam.damping import DampingLaw, law_or_default
+from petscjam.kinematics import strain_mode
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve
+from petscjam.progress import Report
+from petscjam.response.limits import zero_frequency
+from petscjam.response.problem import LinearProblem, agree, describe
+
+
+@dataclass(frozen=True, eq=False)
+class Viscosity:
+    """η0 = lim G″/ω of one packing. Units: stress k (BT) or ke/d² (VOT), time τ1.
+
+    Attributes
+    ----------
+    eta0, G0 : float
+        Viscosity and modulus at ω → 0.
+    residual : float
+        Largest residual of the solves.
+    negative_modes : int or None
+        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    damping : DampingLaw
+    strain : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    """
+
+    eta0: float
+    G0: float
+    residual: float
+    negative_modes: int | None
+    damping: DampingLaw
+    strain: str
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
+        return self.G0 > 0 and self.negative_modes == 0
+
+
+def viscosity(
+    packing: Packing,
+    *,
+    damping: DampingLaw | None = None,
+    prestress: bool = True,
+    strain: str = "simple-shear",
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> Viscosity:
+    """Return η0 = Q†BQ/V of the quasi-static motion (docs/theory.md, Limits).
+
+    The parameters are those of :func:`petscjam.spectrum`.
+
+    Raises
+    ------
+    InputError
+        On an unknown strain, or a packing without a connected backbone.
+    SolverError
+        If K is singular on the backbone.
+    """
+    comm = resolve(comm)
+    agree(comm, packing, damping, prestress, strain)
+    law = law_or_default(damping)
+    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm)
+    low = zero_frequency(problem)
+    if progress:
+        progress(1.0, f"residual {low.residual:.0e}")
+    return Viscosity(
+        eta0=low.eta, G0=low.G, residual=low.residual, negative_modes=problem.negative_modes, damping=law,
+        strain=strain, prestress=prestress, packing=describe(packing, problem.backbone, name),
+        notes=tuple(problem.notes),
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""Figure of the quasi-static response: how contacts slide and disks leave the affine motion (BT Fig. 5).
+
+Axes: i disk of the backbone, c contact, m pressure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
+from petscjam.plots.figure import LOSS, STORAGE, by_pressure, given, save
+
+LABELS = {
+    "parallel": r"$|\Delta u^\parallel|/\gamma$",
+    "transverse": r"$|\Delta u^\perp|/\gamma$",
+    "nonaffine": r"$|u_\mathrm{na}|/\gamma$",
+}
+STYLES = dict(zip(MOTIONS, ((STORAGE, "s"), (LOSS, "o"), ("#2e6b34", "^")), strict=True))
+
+
+def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathLike[str]) -> None:
+    """Draw the distributions, medians and means against pressure, and the motion of the first packing.
+
+    Distributions pool the packings of one pressure. Filled symbols and solid lines are with pre-stress, open
+    ones and dashed lines without. Unstable packings are left out.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 8), layout="constrained")
+    panels = figure.subplot_mosaic([["parallel", "transverse", "nonaffine"], ["scaling", "scaling", "field"]])
+    stable = [r for r in results.values() if r.stable]
+    colours = by_pressure([r.packing["pressure"] for r in results.values()])
+    for motion in MOTIONS:
+        _draw_distribution(panels[motion], stable, motion, colours)
+    _draw_scaling(panels["scaling"], stable)
+    draw_field(panels["field"], next(iter(results.values())))
+    kept = f"{len(results)} result{'' if len(results) == 1 else 's'}"
+    if len(stable) < len(results):
+        kept += f", {len(results) - len(stable)} unstable left out"
+    figure.suptitle(f"Quasi-static response, {next(iter(results.values())).strain}: {kept}", fontsize=11)
+    save(figure, path)
+
+
+def _groups(results: list[QuasistaticResponse]) -> dict[tuple[float, bool], list[QuasistaticResponse]]:
+    """Return the results by pressure (to two digits) and pre-stress."""
+    groups: dict[tuple[float, bool], list[QuasistaticResponse]] = {}
+    for r in results:
+        groups.setdefault((float(f"{r.packing['pressure']:.1e}"), r.prestress), []).append(r)
+    return dict(sorted(groups.items()))
+
+
+def _draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
+    """Draw the probability density of the logarithm, so that tails of any width show."""
+    for (pressure, prestress), some in _groups(results).items():
+        values = np.log10(np.concatenate([r.sizes(motion) for r in some]))
+        density, edges = np.histogram(values, bins=60, density=True)
+        middle = (edges[1:] + edges[:-1]) / 2
+        axes.semilogx(10**middle, density, color=colours(pressure), ls="-" if prestress else "--", lw=1.2,
+                      label=f"p = {pressure:.2g}")  # fmt: skip
+    axes.set(xlabel=LABELS[motion], ylabel=r"density of $\log_{10}$")
+    if len(handles := dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))) <= 8:
+        axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
+
+
+def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
+    groups = _groups(results)
+    for motion in MOTIONS:
+        colour, marker = STYLES[motion]
+        for prestress in (True, False):
+            some = {p: group for (p, kept), group in groups.items() if kept == prestress}
+            medians = [[np.median(r.sizes(motion)) for r in group] for group in some.values()]
+            if not medians:
+                continue
+            centre = [np.mean(m) for m in medians]
+            error = [np.std(m, ddof=1) / np.sqrt(len(m)) if len(m) > 1 else 0 for m in medians]
+            axes.errorbar(list(some), centre, error, fmt=marker, color=colour,
+                          mfc=colour if prestress else "white", ms=6,
+                          label=f"median {LABELS[motion]}, {given(prestress)}")  # fmt: skip
+            means = [np.mean([r.sizes(motion).mean() for r in group]) for group in some.values()]
+            axes.plot(list(some), means, ":" if prestress else "-.", color=colour, lw=1)
+    axes.plot([], [], "k:", lw=1, label="means (dash-dotted: without pre-stress)")
+    axes.set(
+        xscale="log", yscale="log", xlabel="pressure $p$ (units of $k$)", ylabel="motion per unit strain"
+    )
+    axes.legend(frameon=False, fontsize=8)
+
+
+def draw_field(axes: Any, r: QuasistaticResponse) -> None:
+    """Draw u_na as arrows, the root mean square as long as 1.6 spacings of disks."""
+    box = r.geometry.box
+    x = box.wrap(r.geometry.positions)[r.disks]
+    spacing = np.sqrt(box.area / len(r.geometry))
+    size = np.sqrt((r.nonaffine**2).sum(1).mean())
+    axes.quiver(*x.T, *(r.nonaffine * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
+                width=0.0035, color=STORAGE)  # fmt: skip
+    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ box.cell
+    axes.plot(*outline.T, color="0.6", lw=0.8)
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    axes.set_frame_on(False)
+    axes.set_title(f"non-affine motion, p = {r.packing['pressure']:.2g}, {given(r.prestress)}", fontsize=9)

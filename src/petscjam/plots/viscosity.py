@@ -1,0 +1,41 @@
+"""Figure of viscosities: η0 against pressure, for every size and law."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+
+import numpy as np
+
+from petscjam.analysis.viscosity import Viscosity
+from petscjam.plots.figure import given, save
+
+
+def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) -> None:
+    """Draw the mean of η0 over stable packings, with its standard error, against pressure.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.2), layout="constrained")
+    axes = figure.subplots()
+    curves: dict[tuple[str, int, bool], dict[float, list[float]]] = {}
+    for r in results.values():
+        if r.stable:
+            curve = curves.setdefault((str(r.damping), r.packing["particles"], r.prestress), {})
+            curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
+    for (law, n, prestress), curve in sorted(curves.items()):
+        p = np.array(sorted(curve))
+        mean = np.array([np.mean(curve[x]) for x in p])
+        error = np.array([np.std(curve[x], ddof=1) / len(curve[x]) ** 0.5 if curve[x][1:] else 0 for x in p])
+        axes.errorbar(p, mean, error, fmt="o-" if prestress else "s--", mfc=None if prestress else "white",
+                      ms=5, lw=1, label=f"{law}, N = {n}, {given(prestress)}")  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
+    left_out = sum(not r.stable for r in results.values())
+    axes.set_title(f"{len(results)} results, {left_out} unstable left out", fontsize=10)
+    axes.legend(frameon=False, fontsize=8)
+    save(figure, path)
