@@ -218,7 +218,7 @@ def test_disk_full(packing, tmp_path, environment):
 
 
 def test_ranges_share_their_points():
-    from petscjam.cli.values import points
+    from petscjam.values import points
 
     assert set(points("1e-2:1e-3:4")) < set(points("1e-1:1e-3:7"))
 

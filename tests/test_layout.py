@@ -13,7 +13,7 @@ SOURCE = Path(__file__).parents[1] / "src"
 # A module may import from its own line and from the lines above it. The longest name that fits counts,
 # so packing.prepare stands below network, though packing stands above it.
 PIPELINE = [
-    "errors storage progress",
+    "errors storage progress values",
     "box",
     "potential",
     "packing",
@@ -30,6 +30,7 @@ PIPELINE = [
     "reference",
     "report",
     "plots",
+    "figures",
     "cli __main__",
 ]
 STAGE = {f"petscjam.{name}": stage for stage, line in enumerate(PIPELINE) for name in line.split()}

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import petscjam as pj
 from petscjam.plots import fit_phi_J, fit_power, plot_library, plot_packing
 from petscjam.plots.library import _draw_curves, _draw_density, _draw_excess, _draw_lowest, _sizes, _summary
-from petscjam.plots.packing import _draw_packing, _images
+from petscjam.plots.packing import _images, draw_packing
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 SIGNATURES = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "": b"\x89PNG"}
@@ -36,7 +36,7 @@ def row(n=64, p=1e-3, **others):
 
 def drawn(packing):
     axes = Figure(figsize=(6, 6)).subplots()
-    _draw_packing(axes, packing, 6)
+    draw_packing(axes, packing, 6)
     backbone, rattlers = (c for c in axes.collections if isinstance(c, EllipseCollection))
     lines = next((c for c in axes.collections if isinstance(c, LineCollection)), None)
     return axes, backbone, rattlers, lines

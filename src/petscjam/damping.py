@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from petscjam.errors import InputError
 from petscjam.kinematics import Form, StrainMode, form
@@ -135,10 +135,17 @@ def law_or_default(damping: DampingLaw | None) -> DampingLaw:
 
 
 def viscous_form(
-    network: ContactNetwork, my_disks: NDArray[np.bool_], strains: Sequence[StrainMode], law: DampingLaw
+    network: ContactNetwork,
+    my_disks: NDArray[np.bool_],
+    strains: Sequence[StrainMode],
+    law: DampingLaw,
+    times: ArrayLike = 1.0,
 ) -> Form:
-    """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8)."""
-    weights = np.tile([law.normal, law.tangential], (len(network), 1))
+    """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8).
+
+    ``times`` (C,), in τ1, multiplies the friction of each contact.
+    """
+    weights = np.multiply.outer(np.broadcast_to(times, len(network)), [law.normal, law.tangential])
     fluid = np.diag([law.fluid * network.area * mode.shears_fluid for mode in strains])
     return form(
         network, my_disks, strains, weights,

@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.correlations import Correlations
+from petscjam.analysis.density import DensityOfStates, plateau
+from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.network import ContactNetwork
 from petscjam.packing.library import Library
 from petscjam.packing.packing import Packing
+from petscjam.response.modes import Modes
+from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 
 
@@ -106,7 +111,8 @@ def table(results: Mapping[str, Any]) -> str:
 
 def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mapping[str, float | str]]) -> str:
     """Return a line for each result, with its notes below."""
-    header = f"{units}; {next(iter(results.values())).strain}"
+    strain = getattr(next(iter(results.values())), "strain", None)
+    header = units + f"; {strain}" * (strain is not None)
     width = max(len(name) for name in results)
     rows = {
         name: {
@@ -144,6 +150,46 @@ def _viscosity(r: Viscosity) -> dict[str, float | str]:
     }
 
 
+def _modes(r: Modes) -> dict[str, float | str]:
+    return {
+        "modes": f"{len(r.eigenvalues)}", "lowest": r.eigenvalues[0], "highest": r.eigenvalues[-1],
+        "median floppiness": float(np.median(r.floppiness)),
+        "median participation": float(np.median(r.participation)),
+        "G_affine": r.G_affine, "softening": float(r.softening.sum()),
+        "residual": f"{r.residuals.max():.0e}", "complete": {True: "proved", None: "not known"}[r.complete],
+    }  # fmt: skip
+
+
+def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
+    return {
+        "law": str(r.damping), "modes": f"{len(r.times)}", "slowest": r.times[0], "fastest": r.times[-1],
+        "weights": float(r.weights.sum()), "residual": f"{r.residuals.max():.0e}",
+    }  # fmt: skip
+
+
+def _density(r: DensityOfStates) -> dict[str, float | str]:
+    found = plateau(r)
+    return {
+        "moments": f"{r.moments.shape[1]}", "vectors": f"{r.moments.shape[0]}", "highest": r.edge,
+        "plateau": found.height, "±": found.height_error, "onset": found.onset,
+    }  # fmt: skip
+
+
+def _correlations(r: Correlations) -> dict[str, float | str]:
+    low, high = (f"{r.length[k] / r.L:.4g}" for k in (np.argmin(r.omega), np.argmax(r.omega)))
+    return {
+        "law": str(r.damping), "lane": r.width, "l/L at low omega": low, "at high": high,
+        "error": f"{r.errors.max():.0e}", "state": "stable" if r.stable else "UNSTABLE",
+    }  # fmt: skip
+
+
+def _drag(r: NonlinearModulus) -> dict[str, float | str]:
+    return {
+        "form": r.form, "alpha": r.alpha, "stress": r.stress, "most iterations": f"{r.iterations.max()}",
+        "converged": f"{r.converged.sum()} of {len(r.omega)}", "change": f"{r.changes.max():.0e}",
+    }  # fmt: skip
+
+
 def _verdict(r: QuasistaticResponse | Viscosity, G0: float) -> str:
     faults = ["G0 ≤ 0"] * (G0 <= 0)
     if r.negative_modes != 0:
@@ -154,6 +200,11 @@ def _verdict(r: QuasistaticResponse | Viscosity, G0: float) -> str:
 COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
     QuasistaticResponse: ("moduli in k, motions in d per unit strain", _nonaffine),
     Viscosity: ("viscosity in k tau1, modulus in k", _viscosity),
+    Modes: ("eigenvalues and moduli in k", _modes),
+    RelaxationModes: ("times in tau1, weights in k", _relaxations),
+    DensityOfStates: ("frequencies in (k/m)^½, densities in their inverse", _density),
+    Correlations: ("lengths in d", _correlations),
+    NonlinearModulus: ("stress in k", _drag),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from petscjam.cli.laws import chosen_laws
@@ -19,11 +20,71 @@ def nonaffine(options: argparse.Namespace, comm: Any) -> None:
     _survey(options, comm, quasistatic_response, {"strain": options.strain})
 
 
+def modes(options: argparse.Namespace, comm: Any) -> None:
+    """Find the lowest modes, or the slowest relaxations, of packing after packing."""
+    from petscjam.response.modes import lowest_modes
+    from petscjam.response.relaxations import relaxation_modes
+
+    settings = {"count": options.count, "strain": options.strain}
+    if options.relaxation:
+        _survey(options, comm, relaxation_modes, settings, chosen_laws(options))
+    else:
+        _survey(options, comm, lowest_modes, settings)
+
+
+def density(options: argparse.Namespace, comm: Any) -> None:
+    """Find the density of states of packing after packing."""
+    from petscjam.analysis.density import density_of_states
+
+    settings = {"moments": options.moments, "vectors": options.vectors, "seed": options.seed}
+    _survey(options, comm, density_of_states, settings)
+
+
+def correlations(options: argparse.Namespace, comm: Any) -> None:
+    """Find the correlations of packing after packing."""
+    from petscjam.analysis.correlations import correlations
+
+    settings = {"omegas": options.omega, "width": options.width, "bin": options.bin}
+    _survey(options, comm, correlations, settings, chosen_laws(options))
+
+
+def drag(options: argparse.Namespace, comm: Any) -> None:
+    """Find G* of packing after packing under nonlinear drag."""
+    from petscjam.analysis.contact_drag import self_consistent_drag
+    from petscjam.analysis.drag import equivalent_drag
+
+    settings = {
+        "omegas": options.omega, "stress": options.stress, "alpha": options.alpha, "strain": options.strain,
+    }  # fmt: skip
+    _survey(options, comm, equivalent_drag if options.uniform else self_consistent_drag, settings)
+
+
 def viscosity(options: argparse.Namespace, comm: Any) -> None:
     """Find η0 of packing after packing."""
     from petscjam.analysis.viscosity import viscosity
 
     _survey(options, comm, viscosity, {"strain": options.strain}, chosen_laws(options))
+
+
+def figure(options: argparse.Namespace, comm: Any) -> None:
+    """Make a figure from packings on."""
+    from petscjam.figures import make_figure
+    from petscjam.parallel.petsc import start
+    from petscjam.progress import progress
+
+    start(comm)
+    folder = options.output or Path("runs") / options.preset
+
+    def log(line: str) -> None:
+        print(line, flush=True)
+
+    with progress(f"figure {options.name}", show=comm.rank == 0) as report:
+        make_figure(
+            options.name, options.preset, folder, file=options.parameters, comm=comm,
+            overwrite=options.overwrite, resume=options.resume, progress=report, log=log,
+        )  # fmt: skip
+    say(comm, on_root(comm, (folder / f"{options.name}.md").read_text))
+    say(comm, f"{folder / options.name}.png")
 
 
 def _survey(

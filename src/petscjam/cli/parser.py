@@ -11,13 +11,14 @@ from typing import Any, NoReturn
 from petscjam.cli import analyses, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
-from petscjam.cli.values import frequencies, number, numbers, points, seeds, whole
 from petscjam.damping import LAWS
 from petscjam.errors import InputError
+from petscjam.figures import FIGURES
 from petscjam.kinematics import STRAINS
 from petscjam.packing.prepare import BUDGET, METHODS
 from petscjam.potential import POTENTIALS
 from petscjam.storage import release
+from petscjam.values import frequencies, number, numbers, points, seeds, whole
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -165,12 +166,81 @@ def build_parser() -> Parser:
     team_size(p)
     output(p, "OUT.h5", "relative displacements of every contact and non-affine motion of every disk")
 
+    p = add(known, "modes", analyses.modes, "lowest modes of the stiffness, or slowest relaxations", RANKS)
+    packings(p)
+    p.add_argument("--count", type=int, default=50, metavar="M", help="how many (default 50)")
+    text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
+    p.add_argument("--relaxation", action="store_true", help=text)
+    damping(p)
+    strain_and_prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", "eigenvalues in k (or times in tau1), vectors, residuals")
+
+    p = add(known, "density", analyses.density, "density of states D(omega) of all modes, unit masses", RANKS)
+    packings(p)
+    text = "Chebyshev moments: the resolution in omega is about 5/M of (k/m)^1/2 (default 1024)"
+    p.add_argument("--moments", type=int, default=1024, metavar="M", help=text)
+    p.add_argument("--vectors", type=int, default=16, metavar="V", help="random vectors (default 16)")
+    p.add_argument("--seed", type=int, default=1, help="of the random vectors (default 1)")
+    prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", "D(omega) with its error and resolution")
+
+    text = "how far non-affine displacements are correlated along the shear, at any frequency"
+    p = add(known, "correlations", analyses.correlations, text, RANKS)
+    packings(p)
+    text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default {})"
+    p.add_argument("--omega", type=frequencies, default="1e-8:1e0:9", metavar="RANGE",
+                   help=text.format("1e-8:1e0:9"))  # fmt: skip
+    damping(p)
+    prestress(p)
+    p.add_argument(
+        "--width",
+        type=number,
+        metavar="X",
+        help="height of a lane, in the length unit of the packing (default: a mean diameter)",
+    )
+    p.add_argument("--bin", type=number, metavar="X",
+                   help="step of the distance along x (default: half a mean diameter)")  # fmt: skip
+    team_size(p)
+    output(p, "OUT.h5", "C(distance) at peak and at zero stress")
+
+    what = "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping"
+    p = add(known, "drag", analyses.drag, what, RANKS)
+    packings(p)
+    p.add_argument("--omega", type=frequencies, default="1e-6:1e1:29", metavar="RANGE",
+                   help=text.format("1e-6:1e1:29"))  # fmt: skip
+    p.add_argument("--stress", type=number, required=True, metavar="X", help="amplitude of the stress, in k")
+    p.add_argument("--alpha", type=number, default=2 / 3, metavar="X",
+                   help="exponent of the force law, above 0; 1 is linear (default 2/3)")  # fmt: skip
+    p.add_argument(
+        "--uniform",
+        action="store_true",
+        help="one time for the whole packing, as in the paper, not each contact its own",
+    )
+    strain_and_prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", "G*, effective times, convergence")
+
     p = add(known, "viscosity", analyses.viscosity, "viscosity eta0 and modulus G0 at omega -> 0", RANKS)
     packings(p)
     damping(p)
     strain_and_prestress(p)
     team_size(p)
     output(p, "OUT.h5", "eta0 and G0, one group a packing and law")
+
+    listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
+    p = add(
+        known, "figure", analyses.figure, "draw a figure of Baumgarten & Tighe 2017 from packings on", RANKS
+    )
+    p.add_argument("name", metavar="NAME", help=listing)
+    p.add_argument("--preset", default="small", metavar="NAME",
+                   help="small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: "
+                        "hours to days)")  # fmt: skip
+    text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
+    p.add_argument("--parameters", type=Path, metavar="FILE.toml", help=text)
+    text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
+    output(p, "FOLDER", text, required=False)
 
     p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or a file of results")
     p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
@@ -198,9 +268,14 @@ def damping(p: Parser) -> None:
 
 
 def strain_and_prestress(p: Parser) -> None:
-    """Add the mode of deformation, and which terms of K count."""
+    """Add the mode of deformation, and pre-stress."""
     p.add_argument("--strain", choices=STRAINS, default="simple-shear",
                    help="mode of deformation (default simple-shear)")  # fmt: skip
+    prestress(p)
+
+
+def prestress(p: Parser) -> None:
+    """Add which terms of K count."""
     either = p.add_mutually_exclusive_group()
     p.set_defaults(prestress=[True])
     either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False],

@@ -10,12 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.correlations import Correlations
+from petscjam.analysis.density import DensityOfStates
+from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import QuasistaticResponse
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
+from petscjam.response.modes import Modes
+from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.storage import HDF5_SIGNATURE, atomic_h5, check_output, naming, open_h5
@@ -25,6 +30,11 @@ KINDS: dict[str, type] = {
     FORMAT: ComplexModulus,
     "petscjam nonaffine": QuasistaticResponse,
     "petscjam viscosity": Viscosity,
+    "petscjam modes": Modes,
+    "petscjam relaxations": RelaxationModes,
+    "petscjam density": DensityOfStates,
+    "petscjam correlations": Correlations,
+    "petscjam drag": NonlinearModulus,
 }
 UNITS = {
     "omega": "1/tau1", "values": "stress", "residuals": "1", "power_balance": "1", "G0": "stress",
@@ -32,7 +42,10 @@ UNITS = {
     "fields": "length per unit strain", "nodes": "1/tau1", "span": "1/tau1",
     "motions": "length per unit strain", "parallel": "length per unit strain",
     "transverse": "length per unit strain", "nonaffine": "length per unit strain",
-    "shear_modulus": "stress", "stretching": "stress", "pre_stress": "stress",
+    "shear_modulus": "stress", "eigenvalues": "stress", "softening": "stress", "G_affine": "stress",
+    "weights": "stress", "times": "tau1", "delta": "length", "L": "length", "width": "length",
+    "bin": "length", "stress": "stress", "tau": "tau1", "contact_tau": "tau1", "stretching": "stress",
+    "pre_stress": "stress",
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
 DERIVED = ("stable",)  # written for other readers, never read back

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -94,12 +94,34 @@ def _count_below(K: csc_array, sigma: float) -> int:
     """Count the eigenvalues below ``sigma``, or up to a fifth beside it where the factorisation fails."""
     for factor in (1.0, 0.9, 1.1, 0.8):
         with suppress(SolverError):
-            return _pivots_below(K, factor * sigma)
-    return _pivots_below(K, 1.2 * sigma)
+            return pivots_below(K, factor * sigma, abs(sigma))
+    return pivots_below(K, 1.2 * sigma, abs(sigma))
 
 
-def _pivots_below(K: csc_array, sigma: float) -> int:
-    """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester)."""
+def below_all(K: csc_array) -> float:
+    """Return a number below all eigenvalues of ``K``.
+
+    Raises
+    ------
+    SolverError
+        If they cannot be counted.
+    """
+    shift = -_zero(K)
+    while _count_below(K, shift) > 0:
+        shift *= 4
+    return shift
+
+
+def pivots_below(K: csc_array, sigma: float, room: float) -> int:
+    """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester).
+
+    Those within rounding of ``sigma`` count or do not.
+
+    Raises
+    ------
+    SolverError
+        If the factorisation fails, or rounds by more than ``room``.
+    """
     from scipy.sparse import eye_array
     from scipy.sparse.linalg import splu
 
@@ -121,9 +143,9 @@ def _pivots_below(K: csc_array, sigma: float) -> int:
     for factor in (L, U):
         np.abs(factor.data, out=factor.data)
     rounding = EPS * (L @ (U @ np.ones(K.shape[0]))).max()
-    if rounding > abs(sigma):
+    if rounding > room:
         raise SolverError(
-            f"the factorisation of K rounds by up to {rounding:.1e}, its shift is only {abs(sigma):.1e}"
+            f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}"
         )
     return below
 
@@ -154,8 +176,7 @@ def lowest_modes(
 ) -> tuple[Array, Array, Array]:
     """Return the eigenvalues of K (2n, 2n) nearest ``shift``, translations left out, vectors and residuals.
 
-    SLEPc's Krylov–Schur with shift and invert (MUMPS LDLᵀ). The shift is a little below zero, unless given;
-    below all eigenvalues, it makes the lowest come first.
+    The shift is a little below zero, unless given; below all eigenvalues, it makes the lowest come first.
 
     Returns
     -------
@@ -173,59 +194,22 @@ def lowest_modes(
     """
     from mpi4py import MPI
 
+    from petscjam.parallel.eigen import lowest_pairs
     from petscjam.parallel.matrix import symmetric_matrix
-    from petscjam.parallel.petsc import destroying, slepc
+    from petscjam.parallel.petsc import destroying
 
-    SLEPc, size = slepc(), K.shape[0]
+    size = K.shape[0]
     count = min(count, size - 2)
     if count < 1:
         return np.empty(0), np.empty((0, size)), np.empty(0)
     rows = K.tocsr()
     rows.sort_indices()
+    shift = -1e-6 * float(np.median(rows.diagonal())) if shift is None else shift
+    translations = np.tile(np.eye(2), size // 2) * (size / 2) ** -0.5
     matrix = symmetric_matrix(rows.indptr, rows.indices, rows.data, size, MPI.COMM_SELF)
-    eps = SLEPc.EPS().create(MPI.COMM_SELF)
-    translations = [matrix.createVecRight() for _ in range(2)]
-    with destroying(matrix, eps, *translations):
-        for axis, vector in enumerate(translations):
-            vector.array[axis::2] = (size / 2) ** -0.5
-        eps.setOptionsPrefix("petscjam_modes_")
-        eps.setOperators(matrix)
-        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
-        eps.setDeflationSpace(translations)
-        eps.setDimensions(count)
-        eps.setTolerances(1e-10, 10_000)
-        shift = -1e-6 * float(np.median(rows.diagonal())) if shift is None else shift
-        eps.setTarget(shift)
-        eps.setWhichEigenpairs(eps.Which.TARGET_MAGNITUDE)
-        eps.getST().setType("sinvert")
-        ksp = eps.getST().getKSP()
-        ksp.setType("preonly")
-        ksp.getPC().setType("cholesky")
-        ksp.getPC().setFactorSolverType("mumps")
-        eps.setFromOptions()
-        try:
-            eps.solve()
-        except RuntimeError as error:  # PETSc's
-            raise SolverError(f"SLEPc failed: {error}") from error
-        if eps.getConverged() < count:
-            raise SolverError(f"SLEPc found {eps.getConverged()} of {count} modes (reason {eps.reason})")
-        return _real_pairs(K, eps, count)
-
-
-def _real_pairs(K: csc_array, eps: Any, count: int) -> tuple[Array, Array, Array]:
-    """Turn complex vectors of a real symmetric K, with their arbitrary phases, into real ones (Ritz)."""
-    vector = eps.getOperators()[0].createVecRight()
-    columns = []
-    for k in range(count):
-        eps.getEigenpair(k, vector)
-        columns += [vector.array.real.copy(), vector.array.imag.copy()]
-    vector.destroy()
-    basis, sizes, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
-    basis = basis[:, sizes > 1e-6 * sizes[0]]
-    values, rotation = np.linalg.eigh(basis.T @ (K @ basis))
-    vectors = (basis @ rotation)[:, :count]
-    residuals = np.linalg.norm(K @ vectors - vectors * values[:count], axis=0)
-    return values[:count], vectors.T, residuals
+    with destroying(matrix):
+        values, vectors, residuals = lowest_pairs(matrix, count, shift, leave_out=translations)
+    return values, vectors.T, residuals
 
 
 def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
@@ -357,10 +341,7 @@ def _modes(network: ContactNetwork, K: csc_array) -> _Modes:
             return _Modes(values, vectors, residuals, 0, 0)  # below λ₁/2 lie the translations alone
         negative, zero = modes(network)
         if negative:
-            shift = -_zero(K)
-            while _count_below(K, shift) > 0:
-                shift *= 4
-            values, vectors, residuals = lowest_modes(K, shift=shift)
+            values, vectors, residuals = lowest_modes(K, shift=below_all(K))
     except SolverError:
         return _Modes(np.empty(0), np.empty((0, K.shape[0])), np.empty(0), None, None)
     return _Modes(values, vectors, residuals, negative, zero)

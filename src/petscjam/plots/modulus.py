@@ -34,7 +34,7 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
     if pictured:
         figure = Figure(figsize=(max(3.4 * columns, wide), 5.2 + 6.6), layout="constrained")
         halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
-        _draw_fields(halves[1], pictured)
+        draw_fields(halves[1], pictured)
     else:
         figure = Figure(figsize=(wide, 5.2), layout="constrained")
         halves = [figure]
@@ -160,8 +160,11 @@ def _guides(axes: Any, g: ComplexModulus) -> None:
                           xytext=(4, -8), textcoords="offset points", fontsize=9)  # fmt: skip
 
 
-def _draw_fields(figure: Any, g: ComplexModulus) -> None:
-    """Draw Im Q* (zero stress) above Re Q* (peak stress), Q* = (δσ/G*)(q, 1); each panel on its own scale."""
+def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
+    """Draw Im Q* (zero stress) above Re Q* (peak stress), Q* = (δσ/G*)(q, 1); each panel on its own scale.
+
+    Of a packing of more than ``most`` disks, the middle.
+    """
     panels = figure.subplots(2, len(g.field_omega), squeeze=False)
     packing = g.geometry
     assert packing is not None
@@ -170,13 +173,18 @@ def _draw_fields(figure: Any, g: ComplexModulus) -> None:
     affine = (x - centre) @ strain_mode(g.strain).gradient.T
     spacing = np.sqrt(packing.box.area / len(packing))
     outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
+    half = np.sqrt(most / len(packing)) / 2
+    shown = (abs(packing.box.fractional(x) - 0.5) < half).all(1)
+    if not shown.all():
+        outline = (outline - centre) * 2 * half + centre
     for w, omega in enumerate(g.field_omega):
         total = (g.fields[w] + affine) / g.values[np.argmin(np.abs(g.omega - omega))]
         for row, (motion, name) in enumerate(((total.imag, "zero stress"), (total.real, "peak stress"))):
             axes = panels[row, w]
             motion = motion - np.nanmean(motion, axis=0)
             size = np.sqrt(np.nanmean((motion**2).sum(1)))
-            axes.quiver(*x.T, *(motion * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
+            arrows = motion[shown] * 1.6 * spacing / size
+            axes.quiver(*x[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=1,
                         width=0.0035, color=STORAGE if row else LOSS)  # fmt: skip
             axes.plot(*outline.T, color="0.6", lw=0.8)
             axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)

@@ -40,7 +40,7 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     stable = [r for r in results.values() if r.stable]
     colours = by_pressure([r.packing["pressure"] for r in results.values()])
     for motion in MOTIONS:
-        _draw_distribution(panels[motion], stable, motion, colours)
+        draw_distribution(panels[motion], stable, motion, colours)
     _draw_scaling(panels["scaling"], stable)
     draw_field(panels["field"], next(iter(results.values())))
     kept = f"{len(results)} result{'' if len(results) == 1 else 's'}"
@@ -58,7 +58,7 @@ def _groups(results: list[QuasistaticResponse]) -> dict[tuple[float, bool], list
     return dict(sorted(groups.items()))
 
 
-def _draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
+def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
     """Draw the probability density of the logarithm, so that tails of any width show."""
     for (pressure, prestress), some in _groups(results).items():
         values = np.log10(np.concatenate([r.sizes(motion) for r in some]))

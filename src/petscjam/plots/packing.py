@@ -49,16 +49,16 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
     history = _history(packing)
     if history is None:
         figure = Figure(figsize=(size, tall), layout="constrained")
-        _draw_packing(figure.subplots(), packing, size)
+        draw_packing(figure.subplots(), packing, size)
     else:
         figure = Figure(figsize=(1.75 * size, max(tall, 5.0)), layout="constrained")
         halves: Any = figure.subfigures(1, 2, width_ratios=[1, 0.75])
-        _draw_packing(halves[0].subplots(), packing, size)
+        draw_packing(halves[0].subplots(), packing, size)
         _draw_history(halves[1], history, packing.provenance.get("pressure"))
     save(figure, path, dpi=200)
 
 
-def _draw_packing(axes: Any, packing: Packing, size: float) -> None:
+def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     """Draw it on ``axes`` about ``size`` inches wide."""
     from matplotlib.collections import EllipseCollection, LineCollection
     from matplotlib.colors import to_rgba_array

@@ -79,7 +79,7 @@ def zero_frequency(problem: LinearProblem) -> Limit:
     if problem.pressed_rattlers:
         problem.notes.append("rattlers are pressed: not in mechanical equilibrium, η0 may be off")
     G0 = problem.product(problem.K_backbone, still, still).real
-    moving, slack = _relax_dissipation(problem, still)
+    moving, slack = relax_dissipation(problem, still)
     eta = problem.product(problem.B, moving, moving).real
     return Limit(problem.modulus(G0).real, problem.viscosity(eta), max(residual, slack))
 
@@ -95,8 +95,8 @@ def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSol
     return Limit(problem.modulus(G).real, problem.viscosity(eta), residual)
 
 
-def _relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
-    """Let what costs no energy follow ``motion`` with the least dissipation."""
+def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
+    """Let what costs no energy follow ``motion`` with the least dissipation; return the residual, too."""
     q, s = motion
     translations = [e for e in free_motions(problem.network)[:2] if sees(problem.B, e, problem.comm)]
     follow = problem.active.copy()

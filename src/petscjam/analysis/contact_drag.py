@@ -1,0 +1,240 @@
+"""Nonlinear drag with a friction time for each contact, that of the path which the contact takes.
+
+The method of equivalent damping (BT eqs. 9, 23) without the assumption that every contact bears the force δσ:
+(K + iωB)q = f is solved again until B = Σ τ_c(Δu∥⊗Δu∥ + Δu⊥⊗Δu⊥) is that of the motion. docs/howto/drag.md.
+
+Axes: w frequency, c contact of the backbone, k normal/tangential.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import hyp2f1
+
+from petscjam.analysis.drag import NonlinearModulus, equivalent_time
+from petscjam.box import Array
+from petscjam.damping import ContactDamping, viscous_form
+from petscjam.errors import InputError, SolverError
+from petscjam.kinematics import Field, strain_mode
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve
+from petscjam.parallel.memory import check_memory
+from petscjam.parallel.petsc import petsc
+from petscjam.parallel.solver import direct_solver
+from petscjam.progress import Report
+from petscjam.response.limits import LARGEST_RESIDUAL
+from petscjam.response.matrices import assembled
+from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.result import frequencies
+
+MEMORY = 6  # iterations that the next one is made of
+
+
+def contact_times(velocity: Field, alpha: float, floor: float = 0.0) -> Array:
+    """Return τ_c = ⟨|v|^(α+1)⟩/⟨|v|²⟩ (C,) of velocities Re(a e^{iωt}), a = ``velocity`` (C, 2).
+
+    The tip of v runs along an ellipse: |v|² = A + D cos ψ, A = (|a_n|² + |a_t|²)/2, D = |a_n² + a_t²|/2, and
+    ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²). ``floor``² times the mean of A is added to each A.
+    """
+    A = (abs(velocity) ** 2).sum(1) / 2
+    D = abs((velocity**2).sum(1)) / 2
+    A = A + floor**2 * A.mean()
+    s = alpha + 1
+    ratio = np.minimum(D / A, 1.0)
+    return A ** (s / 2 - 1) * hyp2f1(-s / 4, (2 - s) / 4, 1.0, ratio**2)
+
+
+def self_consistent_drag(
+    packing: Packing,
+    omegas: ArrayLike,
+    stress: float,
+    alpha: float,
+    *,
+    strain: str = "simple-shear",
+    prestress: bool = True,
+    rtol: float = 1e-6,
+    floor: float = 1e-6,
+    most_iterations: int = 100,
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> NonlinearModulus:
+    """Return G*(ω; δσ) with a time τ_c for each contact, of the motion that these very times make.
+
+    Solves (K + iωB)q = f, B = Σ τ_c(Δu∥⊗Δu∥ + Δu⊥⊗Δu⊥) with rotations, until τ_c is that of the velocities
+    iω(δσ/G*)(Δu∥, Δu⊥). For α = 1 it is ContactDamping().
+
+    Parameters
+    ----------
+    packing : Packing
+    omegas : (W,) array_like
+        Angular frequencies in 1/τ1, all > 0.
+    stress : float
+        Amplitude δσ > 0 of the stress, in units of k; in compression, of the pressure.
+    alpha : float
+        Exponent α > 0; 1 is linear.
+    strain : str
+        ``simple-shear``, ``pure-shear`` or ``compression``.
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    rtol : float
+        Converged where |ΔG*|/|G*| and the rms of Δ ln τ_c of an iteration are both below it.
+    floor : float
+        Velocity, relative to the root mean square over contacts, below which friction is linear: without it
+        τ_c → ∞ for α < 1 where a contact hardly moves.
+    most_iterations : int
+        For each frequency. What did not converge is kept, marked and noted.
+    comm : MPI communicator
+        Left out: COMM_SELF. The result is the same on every rank.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Raises
+    ------
+    InputError
+        As :func:`equivalent_time`; on an unknown strain, a packing without a connected backbone.
+    SolverError
+        If a solve fails or its residual is not small.
+    """
+    comm = resolve(comm)
+    settings = np.asarray(omegas).tolist(), stress, alpha, strain, prestress, rtol, floor, most_iterations
+    agree(comm, packing, *settings)
+    omega, guess = frequencies(omegas), equivalent_time(omegas, stress, alpha)
+    for what, value in (("rtol", rtol), ("floor", floor)):
+        if not 0 < value <= 0.1:
+            raise InputError(f"{what}: must be > 0 and at most 0.1, not {value!r}")
+    if most_iterations < 1:
+        raise InputError(f"most_iterations: must be at least 1, not {most_iterations!r}")
+    problem = LinearProblem(packing, ContactDamping(), [strain_mode(strain)], prestress, comm)
+    log_tau, points = np.zeros(len(problem.network)), {}
+    with _responses(problem) as respond:
+        for k, w in enumerate(np.argsort(omega)):
+            log_tau = log_tau + np.log(guess[w])  # from the neighbour, moved as the uniform one moves
+
+            def times_of(found: _Response, omega: float = omega[w]) -> Array:
+                return contact_times(omega * found.strain * found.motion, alpha, floor)
+
+            points[w] = _fixed_point(
+                partial(respond, omega[w], stress), times_of, log_tau, rtol, most_iterations, comm
+            )
+            log_tau = np.log(points[w].contact_tau) - np.log(guess[w])
+            if progress:
+                progress((k + 1) / len(omega), f"ω = {omega[w]:.3g}, {points[w].iterations} iterations")
+    columns = zip(*(points[w] for w in range(len(omega))), strict=True)
+    found: dict[str, Any] = dict(zip(_Point._fields, map(np.array, columns), strict=True))
+    if not found["converged"].all():
+        lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
+        problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
+    return NonlinearModulus(
+        omega=omega, stress=float(stress), alpha=float(alpha), form="per contact", **found,
+        errors=np.full(len(omega), np.nan), strain=strain, prestress=prestress,
+        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+    )  # fmt: skip
+
+
+class _Response(NamedTuple):
+    """G* and the residual of its solve; Δu (C, 2) per unit strain; amplitude of the strain; ∂G*/∂τ_c (C,)."""
+
+    G: complex
+    residual: float
+    motion: Field
+    strain: float
+    slope: Field
+
+
+class _Point(NamedTuple):
+    """What :class:`NonlinearModulus` has at one frequency."""
+
+    values: complex
+    tau: float
+    spread: float
+    iterations: int
+    converged: bool
+    changes: float
+    tau_changes: float
+    residuals: float
+    contact_tau: Array
+
+
+def _fixed_point(
+    respond: Callable[[Array], _Response],
+    times_of: Callable[[_Response], Array],
+    log_tau: Array,
+    rtol: float,
+    most_iterations: int,
+    comm: Any,
+) -> _Point:
+    """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are the τ_c that made it."""
+    tried: list[Array] = []
+    missed: list[Array] = []
+    iterations, converged = 0, False
+    while iterations < most_iterations and not converged:
+        iterations += 1
+        tau = np.exp(log_tau)
+        found = respond(tau)
+        wanted = times_of(found)
+        miss = np.log(wanted) - log_tau
+        change = float(abs(found.slope @ (wanted - tau)) / abs(found.G))
+        tau_change = float(np.sqrt(np.mean(miss**2)))
+        tried, missed = [*tried[1 - MEMORY :], log_tau], [*missed[1 - MEMORY :], miss]
+        log_tau, converged = comm.bcast((_mixed(tried, missed), max(change, tau_change) < rtol))
+    square = (abs(found.motion) ** 2).sum(1)
+    share = tau * square / (tau * square).sum()
+    mean, spread = (tau @ square) / square.sum(), np.sqrt(share @ (np.log(tau) - share @ np.log(tau)) ** 2)
+    return comm.bcast(
+        _Point(found.G, mean, spread, iterations, converged, change, tau_change, found.residual, tau)
+    )
+
+
+def _mixed(tried: list[Array], missed: list[Array]) -> Array:
+    """Return what to try next (Anderson): where a linear model of what was missed is smallest."""
+    steps, falls = (np.diff(some, axis=0).T for some in (tried, missed))
+    weights = np.linalg.lstsq(falls, missed[-1], rcond=None)[0]
+    return tried[-1] + missed[-1] - (steps + falls) @ weights
+
+
+@contextmanager
+def _responses(problem: LinearProblem) -> Iterator[Callable[[float, float, Array], _Response]]:
+    """Give the response at ω and δσ with friction times τ_c (C,): one pattern, and one symbolic analysis."""
+    comm, mode, law = problem.comm, problem.strains[0], problem.law
+    network, mine = problem.network, problem.ownership.owner == problem.comm.rank
+    everywhere = viscous_form(network, np.ones_like(mine), problem.strains, law)
+    # its pattern has every entry that any τ_c can fill: with random ones none is a sum that cancels
+    times = np.random.default_rng(0).uniform(1, 2, len(network))
+    pattern = viscous_form(network, mine, problem.strains, law, times)
+    dofs = problem.number(problem.active)
+    check_memory(comm, dofs.size)
+    with (
+        assembled(problem.K, pattern, dofs, comm) as frame,
+        direct_solver(comm, "petscjam_", definite=problem.definite) as solver,
+    ):
+
+        def respond(omega: float, stress: float, tau: Array) -> _Response:
+            B = viscous_form(network, mine, problem.strains, law, tau)
+            with assembled(problem.K, pattern, dofs, comm, B) as pencil:
+                pencil.combine(1, 0, 1j * omega).copy(
+                    frame.A, structure=petsc().Mat.Structure.SAME_NONZERO_PATTERN
+                )
+                forcing = (pencil.k + 1j * omega * pencil.pulls[2])[:, 0]
+            solver.factor(frame.A)
+            x, residual = solver.solve(-forcing)
+            if not residual < LARGEST_RESIDUAL:
+                raise SolverError(
+                    f"the solve at ω = {omega:g} has residual {residual:.1e}; it cannot be trusted"
+                )
+            Q = (dofs.gather(x, comm), [1.0])
+            G = problem.modulus(problem.product(problem.K, Q, Q) + 1j * omega * problem.product(B, Q, Q))
+            motion = everywhere.relative(*Q).reshape(-1, 2)
+            amplitude = stress * np.sqrt(mode.scale) / abs(G)  # in compression δp = 2G*s
+            slope = 1j * omega * mode.scale / network.area * (motion**2).sum(1)
+            return _Response(G, residual, motion, amplitude, slope)
+
+        yield respond

@@ -1,0 +1,321 @@
+"""How far non-affine displacements are correlated along the shear, at any frequency (BT Fig. 7).
+
+    C(δ) = ⟨u_y(x) u_y(x + δ)⟩ / ⟨u_y²⟩
+
+over pairs of backbone disks in the same lane, a narrow strip along x. u_y is that of Re Q* at peak stress and
+of Im Q* at zero stress, Q* = (δσ/G*)(q, 1); C does not depend on δσ, and simple shear moves nothing along y.
+
+Axes: i disk, f field, w frequency, d distance, l lane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.box import Array, Integers
+from petscjam.damping import DampingLaw
+from petscjam.errors import InputError
+from petscjam.network import ContactNetwork
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve
+from petscjam.progress import Report
+from petscjam.response.problem import agree
+from petscjam.response.reduced import spectrum
+from petscjam.response.result import frequencies
+from petscjam.response.spectrum import Spectrum
+
+ALONG = 1e-9  # how far a lattice vector may point out of x, relative to its length
+
+
+class LaneCorrelation(NamedTuple):
+    """Distances δ (D,) from 0 to L/2, C (…, D), NaN where there is no pair, and the number of pairs (D,)."""
+
+    delta: Array
+    C: Array
+    pairs: Integers
+
+
+class CorrelationLength(NamedTuple):
+    """Over some packings: ω (W,), mean L, δ (D,), mean C (W, D), its zero l (W,), and the error of l (W,)."""
+
+    omega: Array
+    L: float
+    delta: Array
+    C: Array
+    length: Array
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Correlations:
+    """C(δ) of one packing in simple shear. Lengths are in the unit of the packing, time in τ1.
+
+    Attributes
+    ----------
+    omega : (W,)
+        Angular frequencies, 1/τ1.
+    delta : (D,)
+        Distances along x, multiples of the bin from 0 to half the cell.
+    real, imaginary : (W, D)
+        C at peak stress, Re Q*, and at zero stress, Im Q*; NaN where there is no pair.
+    pairs : (D,)
+        Number of pairs at each distance; a disk is no pair with itself.
+    G : (W,) complex
+        G*(ω) of the reduced model.
+    errors : (W,)
+        Bound on its relative error; that of the displacements is of the size of the square root.
+    L : float
+        Length of the cell along x.
+    width, bin : float
+        Largest height of a lane, and of a step in δ.
+    G0 : float
+        Modulus at ω → 0.
+    negative_modes : int or None
+        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    damping : DampingLaw
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    """
+
+    omega: Array
+    delta: Array
+    real: Array
+    imaginary: Array
+    pairs: Integers
+    G: NDArray[np.complex128]
+    errors: Array
+    L: float
+    width: float
+    bin: float
+    G0: float
+    negative_modes: int | None
+    damping: DampingLaw
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
+        return self.G0 > 0 and self.negative_modes == 0
+
+    @property
+    def length(self) -> Array:
+        """Correlation length l(ω), (W,): where C at peak stress crosses zero; NaN if it does not."""
+        return np.array([zero_crossing(self.delta, C) for C in self.real])
+
+
+def correlations(
+    packing: Packing,
+    omegas: ArrayLike,
+    *,
+    damping: DampingLaw | None = None,
+    prestress: bool = True,
+    comm: Any = None,
+    width: float | None = None,
+    bin: float | None = None,
+    rtol: float = 1e-8,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> Correlations:
+    """Return C(δ) at peak and at zero stress, at every frequency from one reduced model.
+
+    Parameters
+    ----------
+    packing : Packing
+        One of its two lattice vectors lies along x.
+    omegas : array_like
+        Angular frequencies > 0, 1/τ1.
+    damping : DampingLaw
+        Left out: :class:`ContactDamping` with β = 1 and rotations.
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    comm : MPI communicator
+        Left out: COMM_SELF. The result is the same on every rank.
+    width, bin : float
+        Largest height of a lane, and largest step in δ. Left out: the mean diameter d, and d/2.
+    rtol : float
+        Of |ΔG*|/|G*|; displacements are known to about √rtol.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Raises
+    ------
+    InputError
+        On a frequency, width or bin that makes no sense, or a cell with no lattice vector along x.
+    SolverError
+        If a solve fails.
+    """
+    comm, omega = resolve(comm), frequencies(omegas)
+    agree(comm, packing, tuple(omega), damping, prestress, width, bin, rtol)
+    width, bin = _or_default(packing, width, bin)
+    _Lanes.of(packing, width, bin)  # refuses what makes no sense before anything is solved
+    model = spectrum(
+        packing, (omega.min(), omega.max()), damping=damping, prestress=prestress, rtol=rtol, comm=comm,
+        name=name, progress=progress,
+    )  # fmt: skip
+    return correlations_of(model, omega, width=width, bin=bin)
+
+
+def correlations_of(
+    model: Spectrum, omegas: ArrayLike, *, width: float | None = None, bin: float | None = None
+) -> Correlations:
+    """Return C(δ) as :func:`correlations` does, from a model that was kept with its motions: no solve."""
+    omega = frequencies(omegas)
+    Q = np.array([model.displacement(w)[:, 1] for w in omega]) / model(omega)[:, None]
+    packing = model.geometry
+    assert packing is not None  # displacement refuses a model without motions
+    backbone = ContactNetwork.of(packing).backbone
+    u = np.where(backbone, np.stack([Q.real, Q.imag]), np.nan)
+    u -= np.nanmean(u, axis=-1, keepdims=True)
+    width, bin = _or_default(packing, width, bin)
+    delta, C, pairs = lane_correlation(packing, u, width=width, bin=bin)
+    return Correlations(
+        omega=omega, delta=delta, real=C[0], imaginary=C[1], pairs=pairs, G=model(omega),
+        errors=model.error(omega), L=_Lanes.of(packing, width, bin).L, width=float(width), bin=float(bin),
+        G0=model.G0, negative_modes=model.negative_modes, damping=model.damping, prestress=model.prestress,
+        packing=model.packing, notes=model.notes,
+    )  # fmt: skip
+
+
+def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: float) -> LaneCorrelation:
+    """Return ⟨u u′⟩/⟨u²⟩ over pairs in the same lane against their distance δ along x, periodic up to L/2.
+
+    Lanes and bins tile the cell evenly. Positions along x are rounded to the bins, and all pairs of a lane
+    are summed by FFT; a disk is no pair with itself. Nothing is subtracted from ``values``.
+
+    Parameters
+    ----------
+    packing : Packing
+        One of its two lattice vectors lies along x.
+    values : array_like, shape (…, N)
+        Fields u; a disk that is NaN in any of them is left out of all.
+    width, bin : float
+        Largest height of a lane, and largest step in δ.
+
+    Raises
+    ------
+    InputError
+        On values of a wrong shape, a width or bin that makes no sense, no lattice vector along x.
+    """
+    u = np.asarray(values, dtype=float)
+    if u.ndim == 0 or u.shape[-1] != len(packing):
+        raise InputError(f"values: the last axis must have length {len(packing)}, not {u.shape}")
+    L, shape, lane, column = _Lanes.of(packing, width, bin)
+    fields = u.reshape(-1, len(packing))
+    counted = np.isfinite(fields).all(0)
+    place = (lane * shape[1] + column)[counted]
+
+    def summed(u: Array) -> Array:
+        """Return Σ u u′ over pairs of different disks in a lane, (D,)."""
+        line = np.bincount(place, weights=u, minlength=shape[0] * shape[1]).reshape(shape)
+        power = (abs(np.fft.rfft(line, axis=1)) ** 2).sum(0)
+        total = np.fft.irfft(power, shape[1])[: shape[1] // 2 + 1]
+        total[0] -= (u**2).sum()
+        double = 2 * np.arange(len(total)) % shape[1] == 0  # pairs that are met from either side
+        return np.where(double, total / 2, total)
+
+    pairs = np.rint(summed(np.ones(counted.sum()))).astype(np.int64)
+    sums = np.array([summed(f) for f in fields[:, counted]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        C = np.where(pairs > 0, sums / pairs, np.nan) / (fields[:, counted] ** 2).mean(1)[:, None]
+    return LaneCorrelation(np.arange(len(pairs)) * L / shape[1], C.reshape(*u.shape[:-1], -1), pairs)
+
+
+def zero_crossing(delta: ArrayLike, C: ArrayLike) -> float:
+    """Return the first δ > 0 where C (D,) is zero, by linear interpolation; NaN if there is none.
+
+    It starts from C(0) = 1. Bins without pairs, and the one at δ = 0, are passed over: pairs there are a
+    lane apart.
+    """
+    x, y = np.asarray(delta, dtype=float), np.asarray(C, dtype=float)
+    known = np.isfinite(y) & (x > 0)
+    x, y = np.append(0.0, x[known]), np.append(1.0, y[known])
+    if not (y <= 0).any():
+        return np.nan
+    k = int(np.argmax(y <= 0))
+    return float(x[k - 1] + (x[k] - x[k - 1]) * y[k - 1] / (y[k - 1] - y[k]))
+
+
+def minimum(delta: ArrayLike, C: ArrayLike) -> tuple[float, float]:
+    """Return δ and C (D,) where C is least: at the far end, L/2, if it falls all the way."""
+    k = int(np.nanargmin(C))
+    return float(np.asarray(delta)[k]), float(np.asarray(C)[k])
+
+
+def correlation_length(results: Mapping[str, Correlations], part: str = "real") -> CorrelationLength:
+    """Return where the mean of C over several packings crosses zero, with its jackknife error.
+
+    The packings are alike in size, pressure and law; unstable ones are left out. Their cells may differ a
+    little, so C is averaged at the same δ/L, and lengths are those of the mean cell. The error is NaN for a
+    single packing. ``part`` is ``real`` (peak stress) or ``imaginary`` (zero stress).
+
+    Raises
+    ------
+    InputError
+        If no packing is stable, or their frequencies differ.
+    """
+    if part not in ("real", "imaginary"):
+        raise InputError(f"part: must be 'real' or 'imaginary', not {part!r}")
+    stable = [c for c in results.values() if c.stable]
+    if not stable or any(not np.array_equal(c.omega, stable[0].omega) for c in stable):
+        raise InputError("correlations: a mean needs stable packings, and the same frequencies for all")
+    n, L = len(stable), float(np.mean([c.L for c in stable]))
+    delta = L / stable[0].L * stable[0].delta
+    C = np.array([[_at(delta, L / c.L * c.delta, row) for row in getattr(c, part)] for c in stable])
+    without = (C.sum(0) - C) / (n - 1) if n > 1 else np.full(C.shape, np.nan)
+    left = np.array([[zero_crossing(delta, row) for row in one] for one in without])
+    mean = C.mean(0)
+    length = np.array([zero_crossing(delta, row) for row in mean])
+    return CorrelationLength(stable[0].omega, L, delta, mean, length, np.sqrt((n - 1) * left.var(0)))
+
+
+def collapse_length(omega: ArrayLike, length: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:
+    """Return ω/p^½ and l(−ln p)^0.65, the axes of BT Fig. 7d, for p < 1 in units of the stiffness."""
+    p = np.asarray(pressure, dtype=float)
+    return np.asarray(omega) / np.sqrt(p), np.asarray(length) * (-np.log(p)) ** 0.65
+
+
+def _at(delta: Array, known: Array, C: Array) -> Array:
+    """Return C at ``delta`` by linear interpolation between bins that hold pairs."""
+    there = np.isfinite(C)
+    return np.interp(delta, known[there], C[there])
+
+
+def _or_default(packing: Packing, width: float | None, bin: float | None) -> tuple[float, float]:
+    d = packing.mean_diameter
+    return d if width is None else width, d / 2 if bin is None else bin
+
+
+class _Lanes(NamedTuple):
+    """A grid of lanes and bins over the cell, and where each disk (N,) is on it."""
+
+    L: float
+    shape: tuple[int, int]
+    lane: Integers
+    column: Integers
+
+    @classmethod
+    def of(cls, packing: Packing, width: float, bin: float) -> _Lanes:
+        cell = packing.box.cell
+        x = int(np.argmin(abs(cell[:, 1])))
+        if abs(cell[x, 1]) > ALONG * abs(cell[x, 0]):
+            raise InputError(f"box: lanes need a lattice vector along x, and {cell.tolist()} has none")
+        L, height = abs(float(cell[x, 0])), abs(float(cell[1 - x, 1]))
+        for what, value, most in (("width", width, height), ("bin", bin, L / 2)):
+            if not (isinstance(value, int | float | np.number) and 0 < value <= most):
+                raise InputError(f"{what}: must be > 0 and at most {most:g}, not {value!r}")
+        lanes, bins = int(np.ceil(height / width)), int(np.ceil(L / bin))
+        across = packing.box.fractional(packing.positions)[:, 1 - x]
+        along = packing.positions[:, 0] - np.floor(across) * cell[1 - x, 0]
+        lane = np.floor(across % 1 * lanes).astype(np.int64) % lanes
+        return cls(L, (lanes, bins), lane, np.floor(along / L * bins).astype(np.int64) % bins)

@@ -1,0 +1,306 @@
+"""Density of states D(ω), ω = √λ, of K_uu with unit masses, by the kernel polynomial method.
+
+A. Weiße, G. Wellein, A. Alvermann, H. Fehske, Rev. Mod. Phys. 78, 275 (2006). With λ = Ω² sin²(θ/2) a mode
+of frequency ω lies at the angle θ = 2 arcsin(ω/Ω), and D is a Fourier series in θ (docs/howto/density.md).
+
+Axes: w frequency, v random vector, m moment, c contact, i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.box import Array
+from petscjam.damping import ContactDamping
+from petscjam.errors import InputError, SolverError
+from petscjam.kinematics import SIMPLE_SHEAR
+from petscjam.network import ContactNetwork
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import resolve, total
+from petscjam.parallel.petsc import destroying, stage
+from petscjam.progress import Report
+from petscjam.response.matrices import assembled
+from petscjam.response.problem import LinearProblem, agree, describe
+
+ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
+WEIGHTINGS = 20  # steps that tighten the bound on λ
+TABLE = 1 << 22  # cosines in memory at once
+WIDTHS = 4  # of the kernel that fit below ω where the onset of the plateau is looked for
+
+
+class Plateau(NamedTuple):
+    """Height of D on its plateau with its standard error, and the frequency ω* where it begins.
+
+    ``onset`` is NaN where it would lie below four times the resolution at ω → 0.
+    """
+
+    height: float
+    height_error: float
+    onset: float
+
+
+@dataclass(frozen=True, eq=False)
+class DensityOfStates:
+    """D(ω) of one packing. Units: ω in √(k/m) (BT) or √(ke/m)/d (VOT), with unit masses; D in 1/ω.
+
+    Attributes
+    ----------
+    omega : (W,)
+        Frequencies, ascending.
+    density : (W,)
+        D, the share of modes per frequency, smoothed by the kernel: its integral over 0 … Ω is 1.
+    error : (W,)
+        Standard error of D over the random vectors.
+    cumulative : (W,)
+        The share of modes below ω, the integral of D.
+    resolution : (W,)
+        Standard deviation of the kernel, in ω.
+    moments : (V, M)
+        ⟨v, T_m(1 − 2K/Ω²) v⟩ of each vector v, |v| = 1.
+    edge : float
+        Ω: no mode lies above.
+    modes : int
+        2n − 2 for n disks in the backbone.
+    negative_modes : int or None
+        0, or None where a note says why they could not be counted.
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    """
+
+    omega: Array
+    density: Array
+    error: Array
+    cumulative: Array
+    resolution: Array
+    moments: Array
+    edge: float
+    modes: int
+    negative_modes: int | None
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    def at(self, omega: ArrayLike) -> DensityOfStates:
+        """Return the same at other frequencies (W,), 0 ≤ ω < Ω.
+
+        Raises
+        ------
+        InputError
+            On a frequency outside.
+        """
+        return replace(self, **series(self.moments, self.edge, np.atleast_1d(np.asarray(omega, dtype=float))))
+
+
+def density_of_states(
+    packing: Packing,
+    *,
+    moments: int = 1024,
+    vectors: int = 16,
+    seed: int = 1,
+    prestress: bool = True,
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> DensityOfStates:
+    """Estimate D(ω) of K_uu on the backbone, translations left out; K is only ever multiplied.
+
+    Parameters
+    ----------
+    packing : Packing
+    moments : int
+        M; the kernel has the width π√(Ω² − ω²)/(2M + 2).
+    vectors : int
+        Random vectors; the statistical error falls as 1/√(vectors × modes).
+    seed : int
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    comm : MPI communicator
+        Left out: COMM_SELF. Results are the same arrays on every rank.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Returns
+    -------
+    DensityOfStates
+        At 2M frequencies, evenly in θ, so that no peak is missed.
+
+    Raises
+    ------
+    InputError
+        If K has negative modes, with fewer than two moments or vectors, or without a connected backbone.
+    SolverError
+        If an eigenvalue turns out to lie outside 0 … Ω².
+    """
+    comm = resolve(comm)
+    agree(comm, packing, moments, vectors, seed, prestress)
+    for what, value, least in (("moments", moments, 2), ("vectors", vectors, 2), ("seed", seed, 0)):
+        if not (isinstance(value, int | np.integer) and value >= least):
+            raise InputError(f"{what}: must be a whole number ≥ {least}, not {value!r}")
+    # which law and strain is immaterial: only K_uu enters
+    problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], prestress, comm)
+    if problem.negative_modes:
+        raise InputError(
+            f"packing: K has {problem.negative_modes} negative modes, and no ω = √λ; minimise further, or "
+            "leave pre-stress out"
+        )
+    backbone = problem.backbone.backbone
+    modes = int(2 * backbone.sum() - 2)
+    if modes == 0:
+        raise InputError("packing: one disk has no modes beside translations")
+    bound = highest(problem.backbone)
+    dofs = problem.number(np.outer(backbone, [True, True, False]))
+    found = np.empty((vectors + vectors % 2, moments))
+    with assembled(problem.K, problem.B, dofs, comm) as pencil:
+        twice_X = pencil.combine(-4 / bound, 0)
+        twice_X.shift(2)
+        for v in range(0, vectors, 2):  # K is real: two real vectors make a complex one
+            pair = start_vector(seed, v, backbone) + 1j * start_vector(seed, v + 1, backbone)
+            found[v : v + 2] = chebyshev(twice_X, dofs.scatter(pair, comm.rank), moments, comm)
+            if progress:
+                done = min(v + 2, vectors)
+                progress(done / vectors, f"{done} of {vectors} vectors")
+    edge = float(np.sqrt(bound))
+    return DensityOfStates(
+        **series(found[:vectors], edge, frequency_grid(edge, moments)),
+        moments=found[:vectors], edge=edge, modes=modes, negative_modes=problem.negative_modes,
+        prestress=prestress, packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+    )  # fmt: skip
+
+
+def highest(network: ContactNetwork) -> float:
+    """Return a bound on the eigenvalues of K, a few per cent above the highest.
+
+    A contact holds k(n·u_j − n·u_i)² ≤ k(1 + x_j/x_i)(n·u_i)² + k(1 + x_i/x_j)(n·u_j)² with any x > 0, and
+    pre-stress only lowers it. So no eigenvalue of K exceeds the highest of the blocks Σ_c k(1 + x_j/x_i) nnᵀ
+    of the disks, 2×2; x follows the blocks until they are nearly even.
+    """
+    i, j = np.concatenate([network.i, network.j]), np.concatenate([network.j, network.i])
+    k, (nx, ny) = np.tile(network.stiffness, 2), np.tile(network.normal, (2, 1)).T
+    x, bound = np.ones(len(network.radii)), np.inf
+    for _ in range(WEIGHTINGS):
+        weight = k * (1 + x[j] / x[i])
+        xx, xy, yy = (np.bincount(i, weight * part, len(x)) for part in (nx * nx, nx * ny, ny * ny))
+        largest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+        bound = min(bound, float(largest.max()))
+        x *= np.sqrt(np.where(largest > 0, largest, 1.0))
+    return bound
+
+
+def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
+    """Return random ±1 on the backbone less its mean, of length 1, as a field (N, 3)."""
+    u = np.random.default_rng([seed, v]).choice([-1.0, 1.0], (len(backbone), 2))
+    return projected(u, backbone)
+
+
+def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
+    """Return ``u`` (N, 2) on the backbone without translations, of length 1, as a field (N, 3)."""
+    field = np.zeros((len(u), 3))
+    field[backbone, :2] = u[backbone] - u[backbone].mean(0)
+    return field / np.linalg.norm(field)
+
+
+def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: Any) -> Array:
+    """Return the moments ⟨v, T_m(X) v⟩, (2, count), of the real and the imaginary part of ``start``.
+
+    With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The ranks' shares
+    are added up once, at the end.
+
+    Raises
+    ------
+    SolverError
+        If X has an eigenvalue outside −1 … 1: the moments then grow.
+    """
+    before, now = twice_X.createVecs()
+    after = now.duplicate()
+
+    def product(a: Any, b: Any) -> Array:
+        return np.einsum("nv,nv->v", *(t.array.view(float).reshape(-1, 2) for t in (a, b)))
+
+    products = np.empty((2 * (count // 2) + 1, 2))
+    with destroying(before, now, after), stage("Chebyshev"):
+        before.array[:] = start
+        twice_X.mult(before, now)
+        now.scale(0.5)
+        products[0] = product(before, before)
+        for n in range(1, count // 2 + 1):
+            products[2 * n - 1 : 2 * n + 1] = product(now, before), product(now, now)
+            twice_X.mult(now, after)
+            after.axpy(-1.0, before)
+            before, now, after = now, after, before
+    moments = 2 * total(comm, products)
+    moments[0::2] -= moments[0] / 2
+    moments[1::2] -= moments[1] / 2
+    if not np.abs(moments).max() <= 1 + ROUNDING:
+        raise SolverError("the moments grow: K has a negative mode, or one above the bound")
+    return moments[:count].T
+
+
+def jackson(count: int) -> Array:
+    """Return the weights g_m of Jackson's kernel, (count,) (Weiße et al. eq. 71)."""
+    m, q = np.arange(count), np.pi / (count + 1)
+    return ((count - m + 1) * np.cos(q * m) + np.sin(q * m) / np.tan(q)) / (count + 1)
+
+
+def frequency_grid(edge: float, count: int) -> Array:
+    """Return 2·``count`` frequencies, evenly in θ: half the width of the kernel apart."""
+    return edge * np.sin(np.pi / 2 * (np.arange(2 * count) + 0.5) / (2 * count))
+
+
+def angular(moments: Array, theta: Array) -> tuple[Array, Array]:
+    """Return the density in θ and its integral from 0, (V, W), for each vector."""
+    V, M = moments.shape
+    m, weighted = np.arange(1, M), 2 * (jackson(M) * moments)[:, 1:]
+    density, integral = np.empty((V, len(theta))), np.empty((V, len(theta)))
+    for part in np.array_split(np.arange(len(theta)), 1 + len(theta) * M // TABLE):
+        angles = np.outer(m, theta[part])
+        density[:, part] = (1 + weighted @ np.cos(angles)) / np.pi
+        integral[:, part] = (theta[part] + weighted / m @ np.sin(angles)) / np.pi
+    return density, integral
+
+
+def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
+    """Return D, its error, integral and resolution at ``omega``."""
+    outside = ~((omega >= 0) & (omega < edge))
+    if outside.any():
+        raise InputError(f"omega: must be ≥ 0 and < {edge:g}, not {omega[np.argmax(outside)]:g}")
+    density, integral = angular(moments, 2 * np.arcsin(omega / edge))
+    slope = np.sqrt(edge**2 - omega**2) / 2  # dω/dθ
+    return {
+        "omega": omega, "density": density.mean(0) / slope, "error": standard_error(density) / slope,
+        "cumulative": integral.mean(0), "resolution": np.pi / (moments.shape[1] + 1) * slope,
+    }  # fmt: skip
+
+
+def standard_error(samples: Array) -> Array:
+    """Return the standard error of the mean over the first axis."""
+    return samples.std(0, ddof=1) / np.sqrt(len(samples))
+
+
+def plateau(density: DensityOfStates) -> Plateau:
+    """Return the height of the plateau of D, and the frequency ω* below which D leaves it.
+
+    The height h is the mean of D over Ω/6 ≤ ω ≤ Ω/3. ω* is the highest frequency below Ω/6 where D is h/2, D
+    taken with so few moments that the kernel has the width ω/4 there: else it would show single modes.
+    """
+    moments, edge = density.moments, density.edge
+    low, high = edge / 6, edge / 3
+    _, shares = angular(moments, 2 * np.arcsin(np.array([1 / 6, 1 / 3])))
+    heights = (shares[:, 1] - shares[:, 0]) / (high - low)
+    height, error = float(heights.mean()), float(standard_error(heights))
+    omega = np.geomspace(WIDTHS * float(density.at(0.0).resolution[0]), low, 200)
+    slope = np.sqrt(edge**2 - omega**2) / 2
+    counts = np.clip(np.pi * WIDTHS * slope / omega - 1, 2, moments.shape[1]).astype(int)
+    D = np.array([series(moments[:, :M], edge, omega[w : w + 1])["density"][0] for w, M in enumerate(counts)])
+    below = np.flatnonzero(D < height / 2)
+    if omega[0] > low or len(below) == 0 or below[-1] == len(D) - 1:
+        return Plateau(height, error, np.nan)
+    step = slice(below[-1], below[-1] + 2)
+    return Plateau(height, error, float(np.interp(height / 2, D[step], omega[step])))

@@ -1,0 +1,183 @@
+"""Nonlinear drag by the method of equivalent damping (BT eqs. 9 and 23–29), one time for all contacts.
+
+The force on a contact is −k τ1^α ρ0^(1−α) |v|^(α−1) v, v its relative velocity where the disks touch. A
+Axes: w frequency, c contact of the backbone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+from scipy.special import gamma
+
+from petscjam.box import Array
+from petscjam.damping import ContactDamping
+from petscjam.errors import InputError
+from petscjam.packing.packing import Packing
+from petscjam.response.reduced import spectrum
+from petscjam.response.result import frequencies
+from petscjam.response.spectrum import EDGE, Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearModulus:
+    """G*(ω; δσ) of one packing under nonlinear drag. Units: stress k, time τ1, length ρ0 (of the packing).
+
+    Attributes
+    ----------
+    omega : (W,)
+        Angular frequencies, 1/τ1.
+    values : (W,) complex
+        Stress of the fundamental over strain.
+    stress : float
+        Amplitude δσ of the stress; in compression, of the pressure.
+    alpha : float
+        Exponent of the force law.
+    form : str
+        ``uniform`` or ``per contact``.
+    tau : (W,)
+        τα; per contact the mean that dissipates as much, Σ τ_c|Δu|²/Σ|Δu|².
+    spread : (W,)
+        Standard deviation of ln τ_c between contacts, weighted by what each dissipates.
+    iterations : (W,) int
+        Solves.
+    converged : (W,) bool
+    changes : (W,)
+        |ΔG*|/|G*|, to first order, that one more iteration would make.
+    tau_changes : (W,)
+        rms over contacts of ln τ_c that the motion calls for, less ln τ_c that made it.
+    residuals : (W,)
+        ‖(K + iωB)q − f‖/‖f‖ of the last solve, or of the reduced model.
+    errors : (W,)
+        Bound on |ΔG*|/|G*| of the reduced model; NaN per contact.
+    contact_tau : (W, C)
+        τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none.
+    strain : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+        Where it did not converge.
+    """
+
+    omega: Array
+    values: NDArray[np.complex128]
+    stress: float
+    alpha: float
+    form: str
+    tau: Array
+    spread: Array
+    iterations: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+    changes: Array
+    tau_changes: Array
+    residuals: Array
+    errors: Array
+    contact_tau: Array
+    strain: str
+    prestress: bool
+    packing: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def at(self, stress: float) -> NonlinearModulus:
+        """Return the same at another amplitude, exactly and without a solve, at other frequencies.
+
+        G* depends on ω^α δσ^(α−1) alone, and so does ωτ: ω goes with δσ^((1−α)/α).
+        """
+        check_amplitude(stress, self.alpha)
+        faster = (stress / self.stress) ** ((1 - self.alpha) / self.alpha)
+        return replace(
+            self, stress=float(stress), omega=self.omega * faster,
+            tau=self.tau / faster, contact_tau=self.contact_tau / faster,
+        )  # fmt: skip
+
+
+def line_factor(alpha: float) -> float:
+    """Return C(α): τ = C(α) |v|^(α−1) for a velocity v cos ωt along a line (BT eq. 25, corrected)."""
+    return float(2 / np.sqrt(np.pi) * gamma(1 + alpha / 2) / gamma(1.5 + alpha / 2))
+
+
+def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
+    """Return τα (W,) of a spring and a dashpot under a force δσ cos ωt (BT eqs. 24 and 25, corrected).
+
+    τ = C(α)(ωu₀)^(α−1), u₀ = δσ/√(1 + (ωτ)²). As h(ln τ) = 0, h has a slope between 1 and α: for any α > 0
+    there is one root, between y₀, what it is for ωτ ≪ 1, and y₀ − h(y₀)/min(1, α).
+
+    Raises
+    ------
+    InputError
+        If a frequency, ``stress`` or ``alpha`` is not > 0 and finite.
+    """
+    omega = frequencies(omegas)
+    check_amplitude(stress, alpha)
+    tau = np.empty(len(omega))
+    for w, log_omega in enumerate(np.log(omega)):
+        start = np.log(line_factor(alpha)) + (alpha - 1) * (np.log(stress) + log_omega)
+
+        def excess(y: float, start: float = start, log_omega: float = log_omega) -> float:
+            return y - start - (1 - alpha) / 2 * float(np.logaddexp(0.0, 2 * (y + log_omega)))
+
+        reach = -excess(start) / min(1.0, alpha)
+        tau[w] = np.exp(brentq(excess, start, start + reach + np.sign(reach), xtol=1e-14))
+    return tau
+
+
+def equivalent_drag(
+    source: Packing | Spectrum, omegas: ArrayLike, stress: float, alpha: float, **options: Any
+) -> NonlinearModulus:
+    """Return G*(ω; δσ) with one τα for all contacts: the linear G* at ωτα (BT, Nonlinear drag).
+
+    Parameters
+    ----------
+    source : Packing or Spectrum
+        Of a packing, a reduced model is made where it is needed, from min ωτα to max ωτα.
+    omegas : (W,) array_like
+        Angular frequencies in 1/τ1, all > 0.
+    stress : float
+        Amplitude δσ > 0, in units of k.
+    alpha : float
+        Exponent α > 0; 1 is linear.
+    **options
+        As for :func:`petscjam.spectrum`: ``strain``, ``prestress``, ``rtol``, ``comm``, ….
+
+    Raises
+    ------
+    InputError
+        As :func:`equivalent_time`; if the model does not reach, or its damping is not that of contacts.
+    SolverError
+        As :func:`petscjam.spectrum`.
+    """
+    omega, tau = frequencies(omegas), equivalent_time(omegas, stress, alpha)
+    low, high = float((omega * tau).min()), float((omega * tau).max())
+    if isinstance(source, Packing):
+        model = spectrum(source, (low, high), displacements=False, **options)
+    elif options:
+        raise InputError(f"{', '.join(options)}: the reduced model is made already")
+    else:
+        model = source
+    if not isinstance(model.damping, ContactDamping):
+        raise InputError(f"damping: {model.damping} does not act on contacts")
+    if not (model.span[0] * (1 - EDGE) <= low and high <= model.span[1] * (1 + EDGE)):
+        raise InputError(
+            f"spectrum: ωτα goes from {low:.3g} to {high:.3g}, the model holds from {model.span[0]:.3g} "
+            f"to {model.span[1]:.3g}"
+        )
+    zeros, count = np.zeros(len(omega)), len(omega)
+    return NonlinearModulus(
+        omega=omega, values=model(omega * tau), stress=float(stress), alpha=float(alpha), form="uniform",
+        tau=tau, spread=zeros, iterations=np.zeros(count, dtype=int), converged=np.ones(count, dtype=bool),
+        changes=zeros, tau_changes=zeros, residuals=model.residuals(omega * tau),
+        errors=model.error(omega * tau), contact_tau=np.empty((count, 0)),
+        strain=model.strain, prestress=model.prestress, packing=model.packing, notes=model.notes,
+    )  # fmt: skip
+
+
+def check_amplitude(stress: float, alpha: float) -> None:
+    """Refuse what is not > 0 and finite."""
+    for what, value in (("stress", stress), ("alpha", alpha)):
+        if not (isinstance(value, int | float | np.number) and 0 < value < np.inf):
+            raise InputError(f"{what}: must be > 0 and finite, not {value!r}")

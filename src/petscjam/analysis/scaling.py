@@ -1,0 +1,394 @@
+"""Exponents with errors: power laws, collapses of curves, local slopes (BT eqs. 14–22 and Fig. 8).
+
+Errors come from packings drawn again (bootstrap): docs/design/0013-collapse.md.
+
+Axes: k packing, m point, c curve, q quantity (G′, G″), w point of a curve, e exponent, b resample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from petscjam.box import Array
+from petscjam.errors import InputError, SolverError
+
+ESTIMATORS: dict[str, Callable[..., Any]] = {"mean": np.mean, "median": np.median}
+PRIOR = 8  # packings: the weight of the scatter common to all points, in that of one
+STEP, TOLERANCE = 0.1, 1e-4  # of an exponent: the first step, and where the search ends
+
+
+@dataclass(frozen=True, eq=False)
+class PowerFit:
+    """y = prefactor · x^exponent.
+
+    Attributes
+    ----------
+    exponent, error : float
+        And its standard error.
+    prefactor : float
+    window : (float, float)
+        The lowest and the highest x fitted.
+    points : int
+        How many there are.
+    chi2 : float
+        χ² per degree of freedom; NaN of two points.
+    """
+
+    exponent: float
+    error: float
+    prefactor: float
+    window: tuple[float, float]
+    points: int
+    chi2: float
+
+
+def power_law(
+    x: ArrayLike,
+    samples: Sequence[ArrayLike],
+    window: tuple[float, float] | None = None,
+    *,
+    estimator: str = "mean",
+    resamples: int = 2000,
+    seed: int = 0,
+) -> PowerFit:
+    """Fit a straight line through ln(mean of y) against ln x.
+
+    The error is the spread of the slope when, at each x by itself, n − 1 of the n packings are drawn with
+    replacement. It does not know of a bend: ``chi2`` and :func:`local_exponents` do. A point weighs by the
+    inverse of its variance, into which the relative scatter of all points goes as ``PRIOR`` packings more,
+    for a few packings do not know their own.
+
+    Parameters
+    ----------
+    x : (m,) array_like
+        For instance pressures.
+    samples : m array_likes
+        The values of the packings at each x. Some may be negative, if no mean that is drawn is.
+    window : (float, float)
+        Fit x between these, both included. Left out: all.
+    estimator : str
+        ``mean`` or ``median`` over packings.
+    resamples, seed : int
+
+    Raises
+    ------
+    InputError
+        On fewer than two x in the window or two packings at one, packings that do not differ, values that
+        are not finite, an x or a mean that is not positive.
+    """
+    x = np.asarray(x, dtype=float)
+    if x.ndim != 1 or len(x) != len(samples):
+        raise InputError(f"power law: {x.size} x, but {len(samples)} sets of samples")
+    _check_positive("power law: x", x)
+    low, high = window if window else (x.min(initial=np.inf), x.max(initial=0.0))
+    kept = [m for m in np.argsort(x) if low <= x[m] <= high]
+    x, values = x[kept], [np.asarray(samples[m], dtype=float) for m in kept]
+    if len(np.unique(x)) < 2:
+        raise InputError(f"power law: {len(np.unique(x))} different x in {low:g} … {high:g}; it takes two")
+    logs = np.stack([
+        _log_estimates(values[m], estimator, resamples, (seed, m), f"power law, x = {x[m]:g}")
+        for m in range(len(x))
+    ])  # fmt: skip
+    n = np.array([len(packings) for packings in values])
+    own = logs[:, 1:].var(axis=1)
+    variance = ((n - 1) * own + PRIOR * (n * own).mean() / n) / (n - 1 + PRIOR)
+    slopes, intercepts = np.polyfit(np.log(x), logs, 1, w=variance**-0.5)
+    chi2 = ((logs[:, 0] - slopes[0] * np.log(x) - intercepts[0]) ** 2 / variance).sum()
+    return PowerFit(
+        exponent=float(slopes[0]), error=float(slopes[1:].std()), prefactor=float(np.exp(intercepts[0])),
+        window=(float(x[0]), float(x[-1])), points=len(x),
+        chi2=float(chi2 / (len(x) - 2)) if len(x) > 2 else np.nan,
+    )  # fmt: skip
+
+
+def local_exponents(
+    x: ArrayLike, samples: Sequence[ArrayLike], points: int = 3, **settings: Any
+) -> tuple[PowerFit, ...]:
+    """Fit power laws in windows of ``points`` neighbouring x, sliding by one, from low x to high.
+
+    Where they drift by more than their errors, one exponent for all x has a systematic error of that size.
+    ``settings`` are those of :func:`power_law`.
+
+    Raises
+    ------
+    InputError
+        As :func:`power_law`, and if there are fewer x than ``points``, or these are fewer than two.
+    """
+    rising = np.unique(np.asarray(x, dtype=float))
+    if not 2 <= points <= len(rising):
+        raise InputError(f"local exponents: windows of {points} points, of {len(rising)} different x")
+    return tuple(
+        power_law(x, samples, (rising[m], rising[m + points - 1]), **settings)
+        for m in range(len(rising) - points + 1)
+    )
+
+
+def local_slope(f: Callable[[Array], Any], x: ArrayLike, step: float = 0.01) -> Array:
+    """Return d ln f/d ln x at ``x`` (any shape) by central differences over ±``step`` in ln x.
+
+    Their error is step²/6 of the third derivative. Of G″: ``local_slope(lambda w: spectrum(w).imag, omega)``.
+
+    Raises
+    ------
+    InputError
+        If an x or a value of f is not positive, or f is complex.
+    """
+    x = np.asarray(x, dtype=float)
+    _check_positive("local slope: x", x)
+    ends = [np.asarray(f(x * np.exp(sign * step))) for sign in (1, -1)]
+    if np.iscomplexobj(ends[0]):
+        raise InputError("local slope: f is complex; take its .real, its .imag or its modulus")
+    for end in ends:
+        _check_positive("local slope: f", end)
+    return np.asarray(np.log(ends[0] / ends[1]) / (2 * step))
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One curve of a collapse: y at x for each packing of an ensemble.
+
+    Attributes
+    ----------
+    x : (w,)
+        Positive, in any order, all different.
+    samples : (k, w) or (k, q, w)
+        Of each packing, one quantity or several (G′ and G″), which then collapse with the same exponents.
+    parameters : dict of float
+        What the form scales with, for instance ``{"p": 1e-3}``.
+    """
+
+    x: ArrayLike
+    samples: ArrayLike
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Collapse:
+    """Exponents with which curves fall on one.
+
+    Attributes
+    ----------
+    exponents, errors : dict of float
+        By name, and their standard errors.
+    quality : float
+        S of :func:`quality`: about 1, or less where the points of a curve go together, if the curves agree
+        within their errors. Much more: they do not.
+    overlap : float
+        As :func:`overlap` gives it.
+    resampled : (b, e)
+        Exponents of each resample, in the order of the names: the error of a function of the exponents is
+        the standard deviation of that function.
+    """
+
+    exponents: dict[str, float]
+    errors: dict[str, float]
+    quality: float
+    overlap: float
+    resampled: Array
+
+
+def critical(mu: float, lam: float, *, p: float) -> tuple[float, float]:
+    """y/p^μ against x/p^λ: G* near jamming (BT eqs. 14–17). Between the plateaus G* ~ ω^Δ, Δ = μ/λ."""
+    return p**-lam, p**-mu
+
+
+def finite_size(a: float, b: float = 2.0, *, N: float) -> tuple[float, float]:
+    """y/N^a against x·N^b: η0 against p (BT Fig. 8). Where N plays no part any more, y ~ x^(−a/b)."""
+    return N**b, N**-a
+
+
+def collapse(
+    curves: Sequence[Curve],
+    form: Callable[..., tuple[float, float]],
+    start: Mapping[str, float],
+    *,
+    estimator: str = "mean",
+    resamples: int = 200,
+    seed: int = 0,
+    least_overlap: float = 0.3,
+) -> Collapse:
+    """Find the exponents with which curves fall on one: the least :func:`quality` of ln Y against ln X.
+
+    The search (Nelder and Mead) goes downhill from ``start``. It is done again for each resample, in which
+    n − 1 of the n packings of each curve are drawn with replacement, whole packings, so that correlations
+    along a curve and between quantities count; curves are taken to be independent. The errors of the points
+    stay as they are.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        As far as they are meant to collapse: without the affine regime, for instance.
+    form : callable
+        ``form(**exponents, **parameters)`` returns X/x and Y/y, as :func:`critical` or :func:`finite_size`.
+    start : dict of float
+        The exponents to be found and where to start. The others stay at the defaults of ``form``.
+    estimator : str
+        ``mean`` or ``median`` over packings.
+    resamples, seed : int
+    least_overlap : float
+        Exponents with which the curves share less (:func:`overlap`) do not count.
+
+    Raises
+    ------
+    InputError
+        On fewer than two curves, quantities that differ, too little overlap at the start, an exponent or
+        parameter that ``form`` does not know, and values as in :func:`power_law`.
+    SolverError
+        If curves are best pushed apart, that is if nothing collapses, or if the search does not end.
+    """
+    if len(curves) < 2:
+        raise InputError(f"collapse: {len(curves)} curves; it takes two")
+    if not start:
+        raise InputError("collapse: start names no exponent to find")
+    x, logs, names = [], [], tuple(start)
+    for c, curve in enumerate(curves):
+        points, log_y = _log_curve(curve, estimator, resamples, (seed, c), f"collapse, curve {c}")
+        x.append(points)
+        logs.append(log_y)
+    if len({log_y.shape[1] for log_y in logs}) > 1:
+        raise InputError(f"collapse: curves have {sorted({log_y.shape[1] for log_y in logs})} quantities")
+    spread = [log_y[1:] - log_y[1:].mean(axis=0) for log_y in logs]
+    variance = [(off * off).mean(axis=0) for off in spread]
+    covariance = [(off * np.roll(off, -1, axis=-1)).mean(axis=0) for off in spread]
+
+    def scaled(exponents: Array) -> tuple[list[Array], Array]:
+        """Return ln X of each curve, and what is added to its ln y."""
+        chosen = dict(zip(names, exponents, strict=True))
+        factors = np.log([form(**chosen, **curve.parameters) for curve in curves])
+        return [points + shift for points, shift in zip(x, factors[:, 0], strict=True)], factors[:, 1]
+
+    def cost(exponents: Array, b: int) -> float:
+        X, shifts = scaled(exponents)
+        if overlap(X) < least_overlap:
+            return np.inf
+        Y = [log_y[b] + shift for log_y, shift in zip(logs, shifts, strict=True)]
+        return quality(X, Y, variance, covariance)
+
+    def best(begin: Array, b: int) -> Array:
+        corners = begin + STEP * np.vstack([np.zeros(len(names)), np.eye(len(names))])
+        found = minimize(cost, begin, args=(b,), method="Nelder-Mead", options={
+            "initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(names),
+        })  # fmt: skip
+        if not found.success:
+            raise SolverError(f"collapse: the search does not end: {found.message}")
+        return np.asarray(found.x)
+
+    first = np.array([start[name] for name in names], dtype=float)
+    try:
+        shared = overlap(scaled(first)[0])
+    except TypeError as error:
+        raise InputError(f"collapse: the form does not fit the exponents and parameters: {error}") from error
+    if not shared >= least_overlap:
+        raise InputError(f"collapse: at the start curves share {shared:.2g} of their length, less than "
+                         f"{least_overlap:g}: start elsewhere, or lower least_overlap")  # fmt: skip
+    fit = best(first, 0)
+    shared = overlap(scaled(fit)[0])
+    if shared < least_overlap + 0.02:
+        raise SolverError(f"collapse: the curves agree best where they share only {shared:.2g} of their "
+                          "length: they do not collapse")  # fmt: skip
+    resampled = np.array([best(fit, b) for b in range(1, resamples + 1)])
+    return Collapse(
+        exponents=dict(zip(names, fit.tolist(), strict=True)),
+        errors=dict(zip(names, resampled.std(axis=0).tolist(), strict=True)),
+        quality=cost(fit, 0), overlap=shared, resampled=resampled,
+    )  # fmt: skip
+
+
+def quality(
+    x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], covariance: Sequence[Array]
+) -> float:
+    """Return how far curves are from each other, in squared standard errors: 1 if they agree within these.
+
+    A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). At each point the other curves
+    that reach over it, interpolated linearly, have a weighted mean Y ± dY: S is the mean of
+    (y − Y)²/(dy² + dY²) over quantities and over points that another curve reaches over. dY knows that
+    neighbouring points of a curve go together; taken to be independent they make S oscillate with the grid.
+
+    Parameters
+    ----------
+    x : c arrays (w,)
+        Rising.
+    y, variance : c arrays (q, w)
+    covariance : c arrays (q, w)
+        Of each y with the next one; the last counts for nothing.
+    """
+    X, Y, V, C = (np.concatenate(parts, axis=-1) for parts in (x, y, variance, covariance))
+    lengths = np.array([len(points) for points in x])
+    starts = np.cumsum(lengths) - lengths
+    left = np.array([np.searchsorted(points, X, side="right") for points in x]) - 1  # (c, c·w)
+    over = (left >= 0) & (left < lengths[:, None] - 1)
+    over[np.repeat(np.arange(len(x)), lengths), np.arange(len(X))] = False  # not its own curve
+    shared = over.any(axis=0)
+    over, a = over[:, shared], np.where(over, left + starts[:, None], 0)[:, shared]
+    b = a + 1
+    t = (X[shared] - X[a]) / (X[b] - X[a])
+    s = 1 - t
+    weights = over / (s * s * V[:, a] + 2 * s * t * C[:, a] + t * t * V[:, b])
+    total = weights.sum(axis=1)
+    mean = (weights * (s * Y[:, a] + t * Y[:, b])).sum(axis=1) / total
+    return float(((Y[:, shared] - mean) ** 2 / (V[:, shared] + 1 / total)).mean())
+
+
+def overlap(x: Sequence[Array]) -> float:
+    """Return the weakest link of curves that follow one another along x.
+
+    Each but the first shares a stretch with those that begin before it: what part of the shorter of the two
+    that is, the least of all. Negative where there is a gap.
+    """
+    ends = np.array(sorted((points.min(), points.max()) for points in x))
+    low, high = ends[1:].T
+    reached = np.maximum.accumulate(ends[:, 1])[:-1]
+    shorter = np.minimum(high - low, reached - ends[0, 0])
+    return float(((np.minimum(reached, high) - low) / shorter).min())
+
+
+def _log_curve(
+    curve: Curve, estimator: str, resamples: int, seed: tuple[int, ...], where: str
+) -> tuple[Array, Array]:
+    """Return ln x, rising, and ln y (1 + b, q, w)."""
+    x, samples = np.asarray(curve.x, dtype=float), np.asarray(curve.samples, dtype=float)
+    if x.ndim != 1 or samples.ndim not in (2, 3) or samples.shape[-1] != len(x) or len(np.unique(x)) < 2:
+        raise InputError(f"{where}: x {x.shape} and samples {samples.shape} are not (w,) and (k, w) or "
+                         "(k, q, w) with two different x")  # fmt: skip
+    if len(np.unique(x)) < len(x):
+        raise InputError(f"{where}: the same x twice")
+    _check_positive(f"{where}: x", x)
+    rising = np.argsort(x)
+    samples = samples.reshape(len(samples), -1, len(x))[..., rising]
+    return np.log(x[rising]), _log_estimates(samples, estimator, resamples, seed, where)
+
+
+def _log_estimates(
+    samples: Array, estimator: str, resamples: int, seed: tuple[int, ...], where: str
+) -> Array:
+    """Return the logarithm of the mean or median over packings, and of that of each resample, (1 + b, …)."""
+    if estimator not in ESTIMATORS:
+        raise InputError(f"estimator {estimator!r} is not one of {', '.join(ESTIMATORS)}")
+    if resamples < 2:
+        raise InputError(f"{resamples} resamples; errors take at least two, good ones hundreds")
+    n = len(samples) if samples.ndim else 0
+    if n < 2:
+        raise InputError(f"{where}: {n} packings; an error takes two")
+    if not np.isfinite(samples).all():
+        raise InputError(f"{where}: a value is {samples[~np.isfinite(samples)][0]}")
+    samples = samples[np.lexsort(samples.reshape(n, -1).T)]  # the order they come in is of no account
+    draws = np.random.default_rng(seed).integers(n, size=(resamples, n - 1))
+    of = ESTIMATORS[estimator]
+    values = np.concatenate([of(samples, axis=0)[None], of(samples[draws], axis=1)])
+    if not (values > 0).all():
+        raise InputError(f"{where}: a {estimator} over packings is {values.min():g}, not above 0")
+    if (np.ptp(values[1:], axis=0) <= 1e-13 * values[0]).any():
+        raise InputError(f"{where}: {n} packings do not differ")
+    return np.asarray(np.log(values))
+
+
+def _check_positive(what: str, values: Array) -> None:
+    good = np.isfinite(values) & (values > 0)
+    if not good.all():
+        raise InputError(f"{what} must be above 0, not {values[~good].flat[0]:g}")

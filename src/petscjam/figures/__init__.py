@@ -1,0 +1,82 @@
+"""The figures of Baumgarten & Tighe 2017 and a few beside them: packings, results, exponents, picture.
+
+``FIGURES`` says what there is. The parameters of each stand in a file of its name, ``mpi_runs/bt3.toml``.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from petscjam.errors import InputError
+from petscjam.figures.study import Finding, Study
+from petscjam.parallel.comm import on_root
+from petscjam.progress import Report
+from petscjam.storage import check_output, naming
+
+FIGURES = {
+    "bt1": "G' and G'' over fourteen decades, and how the disks move",
+    "bt2": "what the viscous forces resist, in a real packing",
+    "bt3": "contact damping: G* at several pressures, and its collapse",
+    "bt4": "undamped and weakly damped sliding (beta from 0), and disks that do not roll",
+    "bt5": "quasi-static sliding and non-affine motion against pressure",
+    "bt6": "Stokes drag: the collapse, and the viscosity of the fluid",
+    "bt7": "correlations of non-affine displacements",
+    "bt8": "finite-size scaling of the viscosity",
+    "modes": "low modes: floppiness, and how many make up the quasi-static response",
+    "drag": "nonlinear drag: equivalent damping of the whole packing and contact by contact",
+}
+
+
+def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
+    """Return the parameters of figure ``name`` by preset, from its own file or another ``file``.
+
+    Raises
+    ------
+    InputError
+        If there is no such figure, or the file is not TOML.
+    """
+    if name not in FIGURES:
+        raise InputError(f"figure {name!r} is unknown; known are {', '.join(FIGURES)}")
+    source = file or files("petscjam.figures") / f"{name}.toml"
+    with naming(str(source)):
+        try:
+            return tomllib.loads(source.read_text())
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"not TOML ({error})") from None
+
+
+def make_figure(
+    name: str,
+    preset: str,
+    folder: Path,
+    *,
+    file: Path | None = None,
+    comm: Any,
+    overwrite: bool = False,
+    resume: bool = False,
+    progress: Report | None = None,
+    log: Any = print,
+) -> list[Finding]:
+    """Draw figure ``name`` into ``folder``: NAME.png, NAME.md with what was found, NAME*.h5 with the results.
+
+    Packings lie in ``folder``/packings, for all figures. What is there already is kept, unless ``overwrite``.
+
+    Raises
+    ------
+    InputError
+        On an unknown figure or preset, a parameter that it does not know, an output that exists.
+    """
+    known = on_root(comm, presets, name, file)
+    if preset not in known:
+        raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")
+    picture = folder / f"{name}.png"
+    on_root(comm, folder.mkdir, parents=True, exist_ok=True)
+    on_root(comm, check_output, picture, overwrite=overwrite or resume)
+    study = Study(name, preset, known[preset], folder, comm, overwrite, progress, log)
+    import_module(f"petscjam.figures.{name}").draw(study, picture)
+    on_root(comm, study.write)
+    return study.findings

@@ -1,0 +1,99 @@
+"""BT Fig. 3: G* under contact damping at several pressures, and its collapse.
+
+Axes: w frequency, k packing, q quantity (G′, G″).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.scaling import Curve, collapse, critical, local_slope
+from petscjam.damping import ContactDamping, DampingLaw
+from petscjam.figures.panels import draw_mean, guide
+from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import given, save
+
+AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it."""
+    files = study.packings(study["particles"], study["pressure"])
+    results = study.moduli(files, study["omega"], [ContactDamping()], prestress=(True, False))
+    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), ContactDamping(), picture)
+
+
+def draw_collapse(study: Study, results: Mapping[str, Any], law: DampingLaw, picture: Path) -> None:
+    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 9.5), layout="constrained")
+    panels = figure.subplots(2, 2)
+    for row, prestress in zip(panels, (True, False), strict=True):
+        groups = by_pressure(results, prestress=prestress)
+        if not groups:
+            continue
+        exponents(study, groups, given(prestress))
+        colour = coloured(list(groups))
+        for p, some in groups.items():
+            draw_mean(row[0], some, colour(p), f"p = {p:.2g} ({len(some)})")
+            draw_mean(row[1], some, colour(p), "", x=1 / p, y=p**-0.5, most=AFFINE)
+        guide(row[0], (1e-6, 1e-4), 8e-7, 1, "slope 1")
+        guide(row[1], (1e-2, 0.3), 8e-4, 1, "slope 1")
+        guide(row[1], (30, 1e3), 0.5, 0.5, "slope ½")
+        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+        row[0].set_title(f"{law}, {given(prestress)}; (number of packings)", fontsize=10)
+        row[0].legend(frameon=False, fontsize=8)
+        row[1].set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
+        row[1].set_title(rf"collapse with the paper's exponents, $\omega\tau_1 \leq$ {AFFINE:g}", fontsize=10)
+    save(figure, picture)
+
+
+def exponents(study: Study, groups: Mapping[float, list[Any]], how: str) -> None:
+    """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime."""
+    p = np.array(list(groups))
+    study.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
+    study.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")
+    times = [[g.eta0 / g.G0 for g in some] for some in groups.values()]
+    study.exponent(f"−λ, τ* = η0/G0 ~ p^−λ, {how}", p, times, "−1", estimator="median")
+    for name, most_p, most_omega in (("", np.inf, AFFINE), (", p ≤ 1e-3, ω ≤ 0.01", 1.01e-3, 0.01)):
+        _collapsed(study, {x: some for x, some in groups.items() if x <= most_p}, most_omega, how + name)
+    lowest = groups[p.min()]
+    middle = float(np.sqrt(p.min() * AFFINE))
+    for name, part in (("G′", np.real), ("G″", np.imag)):
+        slopes = [_slope(g.model, part, middle) for g in lowest]
+        spread = float(np.std(slopes, ddof=1) / len(slopes) ** 0.5) if len(slopes) > 1 else np.nan
+        remark = f"d ln {name}/d ln ω at ω = {middle:.1e}, p = {p.min():.2g}"
+        study.findings.append(Finding(f"Δ of {name}, {how}", float(np.mean(slopes)), spread, "1/2", remark))
+
+
+def _collapsed(study: Study, groups: Mapping[float, list[Any]], most: float, how: str) -> None:
+    """Note μ, λ and Δ = μ/λ of the collapse of G′ and G″ below the frequency ``most``."""
+    curves = [
+        Curve(
+            some[0].omega[kept],
+            np.array([[g.values.real[kept], g.values.imag[kept]] for g in some]),
+            {"p": x},
+        )
+        for x, some in groups.items()
+        if len(some) > 1
+        for kept in [some[0].omega <= most]
+    ]
+    found = study.collapsed(
+        f"collapse, {how}", lambda: collapse(curves, critical, {"mu": 0.5, "lam": 1.0}),
+        {"mu": "1/2", "lam": "1"},
+    )  # fmt: skip
+    if found:
+        delta = found.resampled[:, 0] / found.resampled[:, 1]
+        value = found.exponents["mu"] / found.exponents["lam"]
+        study.findings.append(Finding(f"collapse, {how}: Δ = μ/λ", value, float(delta.std()), "1/2"))
+
+
+def _slope(model: Any, part: Any, omega: float) -> float:
+    return float(local_slope(lambda w: part(model(w)), omega))

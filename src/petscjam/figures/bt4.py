@@ -1,0 +1,133 @@
+"""BT Fig. 4: contact damping without and with little friction of sliding; and disks that do not roll."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.viscosity import viscosity
+from petscjam.damping import ContactDamping
+from petscjam.figures.panels import draw_mean, errors, guide
+from petscjam.figures.study import Study, by_pressure
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import given, save
+
+UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it."""
+    omega, betas = study["omega"], [ContactDamping(float(beta)) for beta in study["betas"]]
+    files = study.packings(study["particles"], study["pressure"])
+    both = {"prestress": (True, False)}
+    undamped = study.moduli(files, omega, [UNDAMPED], tag="undamped", **both)
+    centres = study.moduli(files, omega, [CENTRES], tag="centres", **both)
+    eta0 = study.survey(files, viscosity, {}, tag="viscosity", laws=[UNDAMPED, ContactDamping()], **both)
+    one = study.packings(study["particles"], [study["beta_pressure"]])
+    weak = study.moduli(one, omega, betas, tag="betas")
+    on_root(study.comm, _draw, study, {
+        "undamped": study.tally(undamped, "β = 0"), "centres": study.tally(centres, "β = 1 at the centres"),
+        "weak": study.tally(weak, "varying β"), "eta0": study.tally(eta0, "η0"),
+    }, picture)  # fmt: skip
+
+
+def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 10.5), layout="constrained")
+    panels = figure.subplots(2, 2)
+    _draw_undamped(study, panels[0], results["undamped"])
+    _draw_betas(panels[1, 0], results["weak"])
+    _draw_centres(study, panels[1, 1], results["centres"])
+    _crossover(study, results["eta0"])
+    save(figure, picture)
+
+
+def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> None:
+    """Draw β = 0 with pre-stress (circles) and without (lines), raw and collapsed by p^½."""
+    for prestress in (True, False):
+        groups = by_pressure(results, prestress=prestress)
+        if not groups:
+            continue
+        colour, p, how = coloured(list(groups)), np.array(list(groups)), given(prestress)
+        for x, some in groups.items():
+            for axes, y in ((panels[0], 1.0), (panels[1], x**-0.5)):
+                if prestress:
+                    draw_mean(axes, some, colour(x), f"p = {x:.2g}", y=y)
+                else:
+                    mean = np.mean([g.values for g in some], axis=0) * y
+                    axes.loglog(some[0].omega, mean.real, "-", color=colour(x), lw=1.5)
+                    axes.loglog(some[0].omega, mean.imag, "--", color=colour(x), lw=1.5)
+        for name, values, paper in (
+            ("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^x", lambda g: g.eta0, "1/2"),
+            ("G∞ ~ p^x", lambda g: g.G_inf, "1/2"),
+        ):  # fmt: skip
+            samples = [[values(g) for g in some] for some in groups.values()]
+            study.exponent(f"β = 0, {name}, {how}", p, samples, paper)
+    panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  (units of $k$)")
+    panels[0].set_title("(a) β = 0: with pre-stress (symbols), without (lines)", fontsize=10)
+    panels[0].legend(frameon=False, fontsize=8)
+    panels[1].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'/p^{1/2}$, $G''/p^{1/2}$")
+    panels[1].set_title("(a) collapse by $p^{1/2}$, no rescaling of the frequency", fontsize=10)
+
+
+def _draw_betas(axes: Any, results: Mapping[str, Any]) -> None:
+    """Draw G* at one pressure for every β, and the viscosities at both ends against β."""
+    from matplotlib import colormaps
+
+    groups: dict[float, list[Any]] = {}
+    for g in results.values():
+        groups.setdefault(float(g.damping.split("beta=")[1].split(",")[0]), []).append(g)
+    groups = dict(sorted(groups.items()))
+    low, high = np.log(min(groups)), np.log(max(groups))
+    axes.set_ylim(top=1e7)
+    inset = axes.inset_axes((0.1, 0.68, 0.36, 0.3))
+    for beta, some in groups.items():
+        colour = colormaps["plasma"](0.85 * (np.log(beta) - low) / (high - low))
+        draw_mean(axes, some, colour, f"β = {beta:.0e}")
+    betas = np.array(list(groups))
+    for name, marker in (("eta0", "o"), ("eta_inf", "s")):
+        mean, error = errors([[getattr(g, name) for g in some] for some in groups.values()])
+        inset.errorbar(betas, mean, error, fmt=f"{marker}-", ms=3, lw=0.8,
+                       label=r"$\eta_0$" if name == "eta0" else r"$\eta_\infty$")  # fmt: skip
+    inset.set(xscale="log", yscale="log", xlabel=r"$\beta$")
+    inset.legend(frameon=False, fontsize=7)
+    inset.tick_params(labelsize=7)
+    pressure = next(iter(results.values())).packing["pressure"]
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+    axes.set_title(f"(b) p = {pressure:.2g}, with pre-stress, varying β", fontsize=10)
+    axes.legend(frameon=False, fontsize=7, loc="lower right")
+
+
+def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
+    """Draw β = 1 with friction at the centres, scaled as if disks rolled."""
+    groups = by_pressure(results, prestress=False)
+    colour = coloured(list(groups))
+    for x, some in groups.items():
+        draw_mean(axes, some, colour(x), f"p = {x:.2g}", x=1 / x, y=x**-0.5, most=0.05)
+    guide(axes, (30, 1e3), 0.5, 0.5, "slope ½")
+    p = np.array(list(groups))
+    for name, values, paper in (
+        ("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^(μ−λ)", lambda g: g.eta0, "−1/2"),
+    ):  # fmt: skip
+        samples = [[values(g) for g in some] for some in groups.values()]
+        study.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
+    axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
+    axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse", fontsize=10)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _crossover(study: Study, results: Mapping[str, Any]) -> None:
+    """Note β* ~ p: η0 = η0(0) + sβ exactly, for θ follows alike at every β; β* is where both are equal."""
+    for prestress in (True, False):
+        laws = UNDAMPED, ContactDamping()
+        none, full = (by_pressure(results, prestress=prestress, damping=law) for law in laws)
+        samples = []
+        for p in none:
+            with_friction = {v.packing["checksum"]: v.eta0 for v in full[p]}
+            samples.append([v.eta0 / (with_friction[v.packing["checksum"]] - v.eta0) for v in none[p]])
+        study.exponent(f"β* ~ p^x, {given(prestress)}", np.array(list(none)), samples, "1")

@@ -1,0 +1,78 @@
+"""BT Fig. 5: relative normal, relative transverse and non-affine motion against pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
+from petscjam.figures.panels import errors
+from petscjam.figures.study import Study, by_pressure
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import given, save
+from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
+
+LOW = 1e-3  # where corrections to scaling are smaller
+PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it."""
+    files = study.packings(study["particles"], study["pressure"])
+    results = study.survey(files, quasistatic_response, {}, prestress=(True, False))
+    on_root(study.comm, _draw, study, study.tally(results, "quasi-static responses"), picture)
+
+
+def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    panels = figure.subplot_mosaic([["median", "mean", "energy"], [*MOTIONS]])
+    for prestress in (False, True):
+        groups = by_pressure(results, prestress=prestress)
+        if not groups:
+            continue
+        p = np.array(list(groups))
+        for motion in MOTIONS:
+            colour, marker = STYLES[motion]
+            for name, take in (("median", np.median), ("mean", np.mean)):
+                samples = [[float(take(r.sizes(motion))) for r in some] for some in groups.values()]
+                mean, error = errors(samples)
+                what = f"{name} of {motion} motion, {given(prestress)}"
+                fit = study.exponent(what, p, samples, PAPER[motion])
+                study.exponent(
+                    f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW)
+                )
+                slope = f": {fit.exponent:+.3f} ± {fit.error:.3f}" if fit else ""
+                label = f"{LABELS[motion]}, {given(prestress)}{slope}"
+                panels[name].errorbar(p, mean, error, fmt=marker, color=colour, ms=5, label=label,
+                                      mfc=colour if prestress else "white")  # fmt: skip
+                if fit and not prestress:
+                    panels[name].plot(p, fit.prefactor * p**fit.exponent, "--", color=colour, lw=1)
+        _draw_energy(panels["energy"], p, groups, prestress)
+    for name in ("median", "mean"):
+        panels[name].set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"{name}, per unit strain")
+        panels[name].legend(frameon=False, fontsize=7)
+    stable = list(results.values())
+    colours = coloured([r.packing["pressure"] for r in stable])
+    for motion in MOTIONS:
+        draw_distribution(panels[motion], stable, motion, colours)
+    save(figure, picture)
+
+
+def _draw_energy(axes: Any, p: Any, groups: Mapping[float, list[Any]], prestress: bool) -> None:
+    """Draw the two terms of BT eq. 4: stretching, and how much of it pre-stress gives back."""
+    for name, sign, marker in (("stretching", 1, "o"), ("pre_stress", -1, "v"), ("shear_modulus", 1, "s")):
+        mean, error = errors([[sign * getattr(r, name) for r in some] for some in groups.values()])
+        if (mean > 0).all():
+            text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[
+                name
+            ]
+            axes.errorbar(p, mean, error, fmt=marker, ms=5, mfc=None if prestress else "white",
+                          label=f"{text}, {given(prestress)}")  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel="energy per area and $\\gamma^2/2$")
+    axes.legend(frameon=False, fontsize=7)

@@ -1,0 +1,46 @@
+"""BT Fig. 6: Stokes drag, its collapse, and what the viscosity of the fluid changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from petscjam.damping import StokesDrag
+from petscjam.figures.bt3 import draw_collapse
+from petscjam.figures.panels import draw_mean, guide
+from petscjam.figures.study import Study
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import save
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
+    files = study.packings(study["particles"], study["pressure"])
+    results = study.moduli(files, study["omega"], [StokesDrag()], prestress=(True, False))
+    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture)
+    one = study.packings(study["particles"], [study["fluid_pressure"]])
+    fluids = [StokesDrag(float(eta)) for eta in study["fluids"]]
+    varied = study.moduli(one, study["omega"], fluids, tag="fluids")
+    other = picture.with_stem(f"{picture.stem}-fluid")
+    on_root(study.comm, _draw_fluids, study.tally(varied, "varying ηF"), other)
+
+
+def _draw_fluids(results: Mapping[str, Any], picture: Path) -> None:
+    """Draw G* at one pressure for every viscosity of the fluid."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    groups: dict[float, list[Any]] = {}
+    for g in results.values():
+        groups.setdefault(float(g.damping.split("eta_fluid=")[1].rstrip(")")), []).append(g)
+    figure = Figure(figsize=(8, 6), layout="constrained")
+    axes = figure.subplots()
+    for k, (eta, some) in enumerate(sorted(groups.items())):
+        draw_mean(axes, some, colormaps["plasma"](0.85 * k / len(groups)), rf"$\eta_F$ = {eta:.0e}")
+    guide(axes, (1e-4, 1e-2), 5e-4, 0.5, "slope ½")
+    pressure = next(iter(results.values())).packing["pressure"]
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+    axes.set_title(f"Stokes drag, p = {pressure:.2g}, with pre-stress", fontsize=10)
+    axes.legend(frameon=False, fontsize=8)
+    save(figure, picture)

@@ -1,0 +1,81 @@
+"""BT Fig. 8: finite-size scaling of the viscosity η0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.scaling import Curve, collapse, finite_size
+from petscjam.analysis.viscosity import viscosity
+from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
+from petscjam.figures.panels import errors
+from petscjam.figures.study import Study, by_pressure
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import given, save
+
+LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
+BULK = 100.0  # pN² above which the number of disks should not matter
+MARKERS = "osD^vP*X"
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it."""
+    results: dict[str, Any] = {}
+    for n in study["particles"]:
+        files = study.packings(n, study["large_pressure"] if n >= study["large"] else study["pressure"])
+        made = study.survey(files, viscosity, {}, tag=f"N{n}", laws=list(LAWS), prestress=(True, False))
+        results |= {f"{n} {name}": v for name, v in study.tally(made, f"η0, N = {n}").items()}
+    on_root(study.comm, _draw, study, results, picture)
+
+
+def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    for axes, (law, a) in zip(figure.subplots(1, 2), LAWS.items(), strict=True):
+        for prestress in (False, True):
+            curves = _curves(results, law, prestress)
+            _find(study, curves, law, a, prestress)
+            for k, (n, groups) in enumerate(curves.items()):
+                p = np.array(list(groups))
+                mean, error = errors(list(groups.values()))
+                axes.errorbar(p * n**2, mean / n**a, error / n**a, fmt=MARKERS[k], color=f"C{k}", ms=5,
+                              mfc=f"C{k}" if prestress else "white",
+                              label=f"N = {n}, {given(prestress)}")  # fmt: skip
+        x = np.array([1e2, 1e5])
+        axes.plot(x, 1.2 * x ** (-a / 2), "k--", lw=1, label=f"slope −a/2, a = {a:g}")
+        axes.set(xscale="log", yscale="log", xlabel="$pN^2$", ylabel=rf"$\eta_0/N^a$, a = {a:g}")
+        axes.set_title(str(law), fontsize=10)
+        axes.legend(frameon=False, fontsize=7, ncols=2)
+    save(figure, picture)
+
+
+def _curves(
+    results: Mapping[str, Any], law: DampingLaw, prestress: bool
+) -> dict[int, dict[float, list[float]]]:
+    """Return η0 of the packings by number of disks and pressure, two packings or more."""
+    sizes = sorted({v.packing["particles"] for v in results.values()})
+    curves = {}
+    for n in sizes:
+        own = {name: v for name, v in results.items() if v.packing["particles"] == n}
+        groups = by_pressure(own, prestress=prestress, damping=law)
+        curves[n] = {p: [v.eta0 for v in some] for p, some in groups.items() if len(some) > 1}
+    return curves
+
+
+def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, prestress: bool) -> None:
+    """Note a of the best collapse, and the exponent of the largest size by itself."""
+    how = f"{law}, {given(prestress)}"
+    some = []
+    for n, groups in curves.items():
+        count = min(map(len, groups.values()))
+        samples = np.array([values[:count] for values in groups.values()]).T
+        some.append(Curve(np.array(list(groups)), samples, {"N": float(n)}))
+    study.collapsed(f"{how}", lambda: collapse(some, finite_size, {"a": 1.0}), {"a": f"{a:g}"})
+    n = max(curves)
+    p = np.array(list(curves[n]))
+    window = BULK / n**2, float(p.max())
+    study.exponent(f"η0 ~ p^x, {how}, N = {n}", p, list(curves[n].values()), "−1/2", window)

@@ -1,0 +1,120 @@
+"""Nonlinear drag (BT eqs. 27–29): the method of equivalent damping in two forms.
+
+Axes: w frequency, k packing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.contact_drag import self_consistent_drag
+from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
+from petscjam.damping import ContactDamping
+from petscjam.figures.panels import guide
+from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import save
+
+AFFINE = 0.05  # ωτα above which the response is no longer critical
+
+
+def draw(study: Study, picture: Path) -> None:
+    """Make and draw it."""
+    files = study.packings(study["particles"], study["pressure"])
+    without = {"prestress": (False,)}
+    linear = study.moduli(files, study["linear_omega"], [ContactDamping()], tag="linear", **without)
+    contacts = {}
+    for alpha in study["alphas"]:
+        settings = {"omegas": study["omega"], "stress": study["stress"], "alpha": alpha}
+        contacts[alpha] = study.survey(
+            files, self_consistent_drag, settings, tag=f"alpha{alpha:.3f}", **without
+        )
+    on_root(study.comm, _draw, study, linear, contacts, picture)
+
+
+def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any], picture: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 5.2 * len(contacts)), layout="constrained")
+    panels = figure.subplots(len(contacts), 2, squeeze=False)
+    for row, (alpha, results) in zip(panels, contacts.items(), strict=True):
+        groups = by_pressure(results)
+        uniform = {
+            p: [equivalent_drag(g.model, study["omega"], study["stress"], alpha) for g in some]
+            for p, some in by_pressure(linear).items()
+        }
+        colour = coloured(list(groups))
+        for form, found in (("one time", uniform), ("per contact", groups)):
+            for p, some in found.items():
+                _draw_mean(row[0], some, colour(p), form, f"p = {p:.2g} ({len(some)})")
+            _note(study, alpha, form, found)
+        _draw_ratio(row[1], uniform, groups, colour)
+        low = float(study["omega"].min())
+        guide(row[0], (3 * low, 300 * low), float(abs(uniform[max(uniform)][0].values.imag).min()), alpha,
+              f"slope {alpha:.2g}")  # fmt: skip
+        guide(row[0], (1e-3, 1e-1), 3e-3, alpha / 2, f"slope {alpha / 2:.2g}")
+        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+        row[0].set_title(rf"α = {alpha:.3g}, $\delta\sigma$ = {study['stress']:.0e}, without pre-stress; "
+                         "symbols: per contact, lines: one time", fontsize=10)  # fmt: skip
+        row[0].legend(frameon=False, fontsize=8)
+    save(figure, picture)
+
+
+def _draw_mean(axes: Any, some: list[NonlinearModulus], colour: Any, form: str, label: str) -> None:
+    omega, mean = some[0].omega, np.mean([g.values for g in some], axis=0)
+    for part, face, line in ((mean.real, colour, "-"), (mean.imag, "white", "--")):
+        if form == "per contact":
+            axes.loglog(omega, part, "o", ms=4, color=colour, mfc=face, label=label if face == colour else "")
+        else:
+            axes.loglog(omega, part, line, lw=1.2, color=colour)
+
+
+def _draw_ratio(axes: Any, uniform: Mapping[float, Any], contacts: Mapping[float, Any], colour: Any) -> None:
+    """Draw the moduli of one time for all over those with a time for each contact."""
+    for p, some in contacts.items():
+        ours, theirs = (np.mean([g.values for g in found], axis=0) for found in (some, uniform[p]))
+        axes.semilogx(
+            some[0].omega, theirs.real / ours.real, "o-", ms=3, color=colour(p), label=f"p = {p:.2g}"
+        )
+        axes.semilogx(some[0].omega, theirs.imag / ours.imag, "o--", ms=3, mfc="white", color=colour(p))
+    axes.axhline(1, color="0.6", lw=0.8)
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel="one time / per contact: $G'$ (●), $G''$ (○)", yscale="log")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
+    """Note the slopes of eqs. 27–29 and how G″ depends on p at the lowest frequency."""
+    name = f"α = {alpha:.3g}, {form}"
+    lowest = groups[min(groups)]
+    for what, choose, part, paper in (
+        ("quasi-static G″ ~ ω^x", "quasi-static", np.imag, alpha),
+        ("critical G′ ~ ω^x", "critical", np.real, alpha / 2),
+        ("critical G″ ~ ω^x", "critical", np.imag, alpha / 2),
+    ):
+        some = groups[max(groups)] if choose == "quasi-static" else lowest
+        slopes = [_slope(g, part, choose) for g in some]
+        error = np.std(slopes, ddof=1) / len(slopes) ** 0.5 if len(slopes) > 1 else np.nan
+        remark = f"p = {some[0].packing['pressure']:.2g}"
+        study.findings.append(
+            Finding(f"{name}: {what}", float(np.mean(slopes)), float(error), f"{paper:.3g}", remark)
+        )
+    p = np.array(list(groups))
+    samples = [[float(g.values.imag[0]) for g in some] for some in groups.values()]
+    study.exponent(f"{name}: quasi-static G″ ~ p^x", p, samples, "−1/2")
+    every = [g for some in groups.values() for g in some]
+    lost, most = sum(int((~g.converged).sum()) for g in every), max(int(g.iterations.max()) for g in every)
+    study.tallies.append(f"{name}: {lost} points did not converge; at most {most} iterations.")
+
+
+def _slope(g: NonlinearModulus, part: Any, choose: str) -> float:
+    """Return the slope where ωτ is below a tenth of the crossover p, or between ten p and ``AFFINE``."""
+    rate, p = g.omega * g.tau, g.packing["pressure"]
+    kept = rate < 0.1 * p if choose == "quasi-static" else (rate > 10 * p) & (rate < AFFINE)
+    if kept.sum() < 2:
+        return np.nan
+    return float(np.polyfit(np.log(g.omega[kept]), np.log(part(g.values[kept])), 1)[0])

@@ -1,0 +1,225 @@
+"""What the figures share: packings and results that are made once and kept, and a page on what was found."""
+
+from __future__ import annotations
+
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.scaling import PowerFit, power_law
+from petscjam.box import Array
+from petscjam.damping import DampingLaw
+from petscjam.ensemble import survey, sweep
+from petscjam.errors import InputError, SolverError
+from petscjam.io.results import read_results
+from petscjam.packing.library import prepare_library
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import given
+from petscjam.progress import Report
+from petscjam.storage import write_atomically
+from petscjam.values import points, seeds
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number of the paper, as found here: its standard error, and what the paper says."""
+
+    name: str
+    value: float
+    error: float
+    paper: str
+    remark: str = ""
+
+
+@dataclass
+class Study:
+    """One figure in the making.
+
+    Attributes
+    ----------
+    name, preset : str
+    parameters : dict
+        Of the preset; each must be asked for by name, or the page says it was not used.
+    folder : Path
+    comm : communicator
+    overwrite : bool
+        Make results anew; packings are kept all the same.
+    progress, log : callable
+    findings : list of Finding
+    tallies : list of str
+        How many packings there were of each kind, and how many were left out.
+    """
+
+    name: str
+    preset: str
+    parameters: Mapping[str, Any]
+    folder: Path
+    comm: Any
+    overwrite: bool = False
+    progress: Report | None = None
+    log: Callable[[str], None] = print
+    findings: list[Finding] = field(default_factory=list)
+    tallies: list[str] = field(default_factory=list)
+
+    def __getitem__(self, parameter: str) -> Any:
+        """Return a parameter; ``A:B:N`` gives points, evenly in the logarithm.
+
+        Raises
+        ------
+        InputError
+            If the preset lacks it, or it is no such range.
+        """
+        if parameter not in self.parameters:
+            raise InputError(f"{self.name}: the preset {self.preset} lacks {parameter}")
+        value = self.parameters[parameter]
+        try:
+            if parameter == "seeds":
+                return seeds(str(value))
+            return points(value) if isinstance(value, str) else value
+        except ArgumentTypeError as error:
+            raise InputError(f"{self.name}: {parameter}: {error}") from None
+
+    def packings(
+        self, particles: int | Iterable[int], pressures: Iterable[float], seeds: Iterable[int] | None = None
+    ) -> list[Path]:
+        """Return the packings of these sizes and pressures, made if need be, less those not proved."""
+        sizes = [particles] if isinstance(particles, int) else list(particles)
+        wanted, own = [float(f"{p:.12g}") for p in pressures], list(seeds or self["seeds"])
+        library = prepare_library(
+            self.folder / "packings", sizes, wanted, own, comm=self.comm, resume=True, progress=self.progress
+        )
+        rows = [
+            r for r in library.rows if r["particles"] in sizes and r["target"] in wanted and r["seed"] in own
+        ]
+        proved = [library.folder / r["file"] for r in rows if r["proved"]]
+        missing = len(sizes) * len(wanted) * len(own) - len(proved)
+        self.tallies.append(
+            f"{len(proved)} packings: N = {', '.join(map(str, sizes))}; "
+            f"p = {', '.join(f'{p:.3g}' for p in wanted)}; {len(own)} seeds. "
+            f"Left out because not proved minima: {missing}."
+        )
+        return proved
+
+    def moduli(
+        self,
+        files: Sequence[Path],
+        omegas: Array,
+        laws: Sequence[DampingLaw],
+        *,
+        tag: str = "",
+        **options: Any,
+    ) -> dict[str, Any]:
+        """Return G* of every packing under each law, made if need be (``sweep``)."""
+        return self._made(
+            files, tag, lambda output, **common: sweep(files, omegas, output, laws=laws, **common, **options)
+        )
+
+    def survey(
+        self,
+        files: Sequence[Path],
+        analyse: Callable[..., Any],
+        settings: Mapping[str, Any],
+        *,
+        tag: str = "",
+        **options: Any,
+    ) -> dict[str, Any]:
+        """Return what ``analyse`` says of every packing, made if need be (``survey``)."""
+        return self._made(
+            files, tag, lambda output, **common: survey(files, output, analyse, settings, **common, **options)
+        )
+
+    def _made(
+        self, files: Sequence[Path], tag: str, make: Callable[..., tuple[int, list[str]]]
+    ) -> dict[str, Any]:
+        output = self.folder / f"{self.name}{tag and '-'}{tag}.h5"
+        if self.overwrite:
+            on_root(self.comm, output.unlink, missing_ok=True)
+        _, failures = make(output, comm=self.comm, resume=True, progress=self.progress, log=self.log)
+        if failures:
+            self.tallies.append(f"{len(failures)} results failed: {'; '.join(failures)}")
+        names = {file.stem for file in files}
+        results: dict[str, Any] = on_root(self.comm, read_results, output)
+        return {name: r for name, r in results.items() if r.packing["name"] in names}
+
+    def tally(self, results: Mapping[str, Any], what: str) -> dict[str, Any]:
+        """Return the stable results, and say how many were left out at each pressure."""
+        kept = {name: r for name, r in results.items() if r.stable}
+        packings: dict[str, set[str]] = {}
+        lost: dict[str, set[str]] = {}
+        for r in results.values():
+            key = f"N = {r.packing['particles']}, p = {r.packing['pressure']:.3g}, {given(r.prestress)}"
+            for kind in [packings] + [lost] * (not r.stable):
+                kind.setdefault(key, set()).add(r.packing["checksum"])
+        gone = "; ".join(f"{key}: {len(lost[key])} of {len(packings[key])}" for key in sorted(lost))
+        self.tallies.append(
+            f"{what}: packings left out as unstable (G0 ≤ 0 or negative modes): {gone or 'none'}."
+        )
+        return kept
+
+    def exponent(
+        self,
+        name: str,
+        x: Any,
+        samples: Any,
+        paper: str,
+        window: tuple[float, float] | None = None,
+        **options: Any,
+    ) -> PowerFit | None:
+        """Fit a power law and note its exponent; None, with a remark, where it cannot be fitted."""
+        try:
+            fit = power_law(x, samples, window, **options)
+        except InputError as error:
+            self.findings.append(Finding(name, np.nan, np.nan, paper, str(error)))
+            return None
+        low, high = fit.window
+        self.findings.append(
+            Finding(
+                name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}, χ² = {fit.chi2:.1f}"
+            )
+        )
+        return fit
+
+    def collapsed(self, name: str, find: Callable[[], Any], paper: Mapping[str, str]) -> Any:
+        """Note the exponents of a collapse; None, with a remark, where nothing collapses."""
+        try:
+            found = find()
+        except (InputError, SolverError) as error:
+            self.findings.append(Finding(name, np.nan, np.nan, ", ".join(paper.values()), str(error)))
+            return None
+        for key, value in found.exponents.items():
+            remark = f"quality S = {found.quality:.1f}"
+            self.findings.append(Finding(f"{name}: {key}", value, found.errors[key], paper[key], remark))
+        return found
+
+    def page(self) -> str:
+        """Return what was found, as Markdown."""
+        command = f"petscjam figure {self.name} --preset {self.preset}"
+        lines = [f"Made by `{command}`.", ""]
+        if self.findings:
+            lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
+            for f in self.findings:
+                value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
+                value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
+                lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
+            lines += ["", "± is the standard error, by bootstrap over packings.", ""]
+        lines += [f"- {tally}" for tally in self.tallies]
+        lines += ["", "| parameter | |", "|---|---|"]
+        lines += [f"| {key} | {value} |" for key, value in self.parameters.items()]
+        return "\n".join([*lines, ""])
+
+    def write(self) -> None:
+        """Write the page."""
+        write_atomically(self.folder / f"{self.name}.md", self.page().encode())
+
+
+def by_pressure(results: Mapping[str, Any], **same: Any) -> dict[float, list[Any]]:
+    """Return the results by target pressure (three digits), those whose attributes are ``same``, rising."""
+    groups: dict[float, list[Any]] = {}
+    for r in results.values():
+        if all(str(getattr(r, key)) == str(value) for key, value in same.items()):
+            groups.setdefault(float(f"{r.packing['pressure']:.2e}"), []).append(r)
+    return dict(sorted(groups.items()))

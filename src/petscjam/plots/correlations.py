@@ -1,0 +1,83 @@
+"""Figure of correlations: C(δ) at some frequencies, and the correlation length against frequency (BT Fig. 7).
+
+Axes: w frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.correlations import Correlations, correlation_length
+from petscjam.errors import InputError
+from petscjam.plots.figure import given, save
+
+CURVES = 7  # at most, in a panel
+
+
+def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[str]) -> None:
+    """Draw C against δ/L, solid at peak stress and dashed at zero stress, and the correlation length l(ω).
+
+    Packings of one size and pressure under one law are averaged, unstable ones left out. C has a panel for
+    each law, and shows the first such mean; l is shown for all of them, filled with pre-stress.
+
+    Raises
+    ------
+    InputError
+        If no packing is stable, or the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    alike: dict[Any, dict[str, Correlations]] = {}
+    for name, c in results.items():
+        if c.stable:
+            p = float(f"{c.packing['pressure']:.1e}")
+            kind = str(c.damping), c.prestress, c.packing["particles"], p, tuple(c.omega)
+            alike.setdefault(kind, {})[name] = c
+    if not alike:
+        raise InputError("correlations: no packing is stable")
+    first = {kind[0]: (kind, some) for kind, some in reversed(alike.items())}
+    figure = Figure(figsize=(4.6 * len(first) + 5.8, 4.6), layout="constrained")
+    panels = figure.subplots(1, 1 + len(first), width_ratios=[4.6] * len(first) + [5.8])
+    for axes, (kind, some) in zip(panels, reversed(first.values()), strict=False):
+        _draw_curves(axes, some)
+        law, prestress, n, p, _ = kind
+        axes.set_title(f"{law}, {given(prestress)}\nN = {n}, p = {p:g}, {len(some)} packings", fontsize=9)
+    _draw_lengths(panels[-1], alike)
+    left_out = sum(not c.stable for c in results.values())
+    figure.suptitle(f"{len(results)} results, {left_out} unstable left out", fontsize=10)
+    save(figure, path)
+
+
+def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
+    """Draw the mean of C at frequencies spread evenly over those there are, from the lowest (dark) up."""
+    from matplotlib import colormaps
+
+    for part, style in (("real", "-"), ("imaginary", "--")):
+        mean = correlation_length(some, part)
+        rising = np.argsort(mean.omega)
+        shown = rising[np.unique(np.linspace(0, len(rising) - 1, CURVES).round().astype(int))]
+        for k, w in enumerate(shown):
+            axes.plot(mean.delta[1:] / mean.L, mean.C[w][1:], style, lw=1.1 if style == "-" else 0.7,
+                      color=colormaps["viridis"](0.9 * k / max(len(shown) - 1, 1)),
+                      label=f"{mean.omega[w]:.1e}" if style == "-" else None)  # fmt: skip
+    axes.axhline(0, color="0.6", lw=0.8, zorder=0)
+    axes.set(xlabel=r"$\delta/L$", ylabel=r"$C$  (solid: peak stress, dashed: zero stress)", xlim=(0, 0.5))
+    axes.legend(title=r"$\omega\tau_1$", frameon=False, fontsize=8)
+
+
+def _draw_lengths(axes: Any, alike: Mapping[Any, Mapping[str, Correlations]]) -> None:
+    """Draw where the mean of C at peak stress crosses zero, with its error."""
+    for (law, prestress, n, p, _), some in alike.items():
+        mean = correlation_length(some)
+        rising = np.argsort(mean.omega)
+        axes.errorbar(mean.omega[rising], mean.length[rising] / mean.L,
+                      np.nan_to_num(mean.error[rising]) / mean.L,
+                      fmt="o-", ms=4, lw=1, mfc=None if prestress else "white",
+                      label=f"{law}, N = {n}, p = {p:g}, {given(prestress)}")  # fmt: skip
+    axes.axhline(0.25, color="0.6", ls=":", lw=0.8, zorder=0)
+    axes.set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel=r"$l/L$  (dotted: ¼)")
+    axes.legend(frameon=False, fontsize=7, loc="lower left")

@@ -1,0 +1,87 @@
+"""Figure: the lowest modes, drawn, and frequency, participation and floppiness of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.plots.figure import STORAGE, UNSTABLE, save
+from petscjam.response.modes import Modes
+
+DRAWN = 4
+NAMED = 6  # packings, beyond which a legend says nothing
+
+
+def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
+    """Draw the lowest four modes of the first packing, and beside them the spectra of all packings.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.6, 8.0), layout="constrained")
+    halves: Any = figure.subfigures(1, 2, width_ratios=[1.75, 1])
+    left, right = halves
+    name, first = next(iter(results.items()))
+    _draw_vectors(left, first)
+    p = first.packing
+    title = f"{p['particles']} disks, p = {p['pressure']:.3g}"
+    title += f"; {'with' if first.prestress else 'without'} pre-stress"
+    left.suptitle(f"{name}: {title}" if len(results) > 1 else title, fontsize=10)
+    panels = right.subplots(3, 1)
+    _draw_spectra(panels, results)
+    save(figure, path)
+
+
+def _draw_vectors(figure: Any, m: Modes) -> None:
+    """Draw modes as arrows, of the same mean length in each panel unless the longest would be too long."""
+    packing, panels = m.geometry, figure.subplots(2, DRAWN // 2)
+    x = packing.box.wrap(packing.positions)[m.disks]
+    spacing = np.sqrt(packing.box.area / len(packing))
+    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
+    for axes in panels.flat:
+        axes.set_axis_off()
+    for k, axes in zip(range(len(m.eigenvalues)), panels.flat, strict=False):
+        v, unstable = m.vectors[k], m.eigenvalues[k] < 0
+        length = np.hypot(*v.T)
+        arrows = v * spacing * min(1.6 / np.sqrt(np.mean(length**2)), 5 / length.max())
+        axes.quiver(*x.T, *arrows.T, angles="xy", scale_units="xy", scale=1, width=0.0035,
+                    color=UNSTABLE if unstable else STORAGE)  # fmt: skip
+        axes.plot(*outline.T, color="0.6", lw=0.8)
+        axes.set_aspect("equal")
+        axes.set_title(
+            f"mode {k + 1}: λ = {m.eigenvalues[k]:.2e}\n"
+            f"participation {m.participation[k]:.2f}, floppiness {m.floppiness[k]:.1f}", fontsize=9,
+        )  # fmt: skip
+
+
+def _draw_spectra(panels: Any, results: Mapping[str, Modes]) -> None:
+    from matplotlib import colormaps
+
+    few = len(results) <= NAMED
+    colours = [STORAGE] if len(results) == 1 else colormaps["viridis"](np.linspace(0, 0.9, len(results)))
+    for (name, m), colour in zip(results.items(), colours, strict=True):
+        index, omega = np.arange(1, len(m.eigenvalues) + 1), np.abs(m.frequencies)
+        stable = m.eigenvalues >= 0
+        style = {"color": colour, "ms": 4 if few else 2.5, "alpha": 0.9 if few else 0.6}
+        for axes, across, up in (
+            (panels[0], index, omega), (panels[1], omega, m.participation), (panels[2], omega, m.floppiness)
+        ):  # fmt: skip
+            axes.plot(across[stable], up[stable], "o", mew=0, label=name, **style)
+            axes.plot(across[~stable], up[~stable], "x", **{**style, "color": UNSTABLE})
+    frequency = r"frequency $\sqrt{\lambda}$"
+    panels[0].set(xscale="log", yscale="log", xlabel="index of the mode", ylabel=frequency)
+    panels[1].set(xscale="log", xlabel=frequency, ylabel="participation ratio")
+    panels[1].set_ylim(bottom=0)
+    panels[2].set(xscale="log", yscale="log", xlabel=frequency)
+    panels[2].set_ylabel(r"floppiness $(\Sigma\,\Delta u_\perp^2/\Sigma\,\Delta u_\parallel^2)^{1/2}$")
+    if any((m.eigenvalues < 0).any() for m in results.values()):
+        panels[0].plot([], [], "x", color=UNSTABLE, label=r"$\lambda < 0$, drawn at $\sqrt{|\lambda|}$")
+    if 1 < len(results) <= NAMED or len(panels[0].get_legend_handles_labels()[0]) > len(results):
+        panels[0].legend(frameon=False, fontsize=8)

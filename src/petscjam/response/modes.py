@@ -1,0 +1,288 @@
+"""Low modes: the softest motions of K, and what each adds to the quasi-static response.
+
+Axes: m mode, i disk of the backbone, c contact of the backbone, x Cartesian.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from petscjam.box import Array, Integers
+from petscjam.damping import ContactDamping
+from petscjam.errors import InputError, SolverError
+from petscjam.kinematics import contact_rows, strain_mode
+from petscjam.network import ContactNetwork
+from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
+from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import on_root, resolve, total
+from petscjam.parallel.eigen import Pairs, lowest_pairs
+from petscjam.parallel.memory import check_memory, give_back_memory
+from petscjam.progress import Report
+from petscjam.response.dofs import Dofs
+from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.problem import LinearProblem, agree, describe
+
+SPARE = 3  # modes above the last, to find a gap in which they can be counted
+TRIES = 3  # searches, each for what the count before says was missed
+BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
+ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
+INSTANT = 1e-13  # of the slowest relaxation time: no friction
+
+
+class QuasistaticParts(NamedTuple):
+    """Δu∥ and Δu⊥ of each contact (C,) and u_na of each disk (n, 2), per unit strain."""
+
+    parallel: Array
+    transverse: Array
+    nonaffine: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The lowest modes of K on the backbone, translations left out. Units: stress k (BT) or ke/d² (VOT).
+
+    Attributes
+    ----------
+    eigenvalues : (M,)
+        λ, ascending; negative where the packing is no minimum.
+    vectors : (M, n, 2)
+        Displacements, orthonormal; the largest component is positive.
+    residuals : (M,)
+        ‖Kv − λv‖: K has an eigenvalue within this distance of λ.
+    complete : bool or None
+        True: a count of all eigenvalues below proves that none was missed; None where a note says why not.
+    disks : (n,)
+        Which disks of the packing these are.
+    participation : (M,)
+        (Σ|v_i|²)²/(n Σ|v_i|⁴): the share of the disks that move.
+    floppiness : (M,)
+        √(Σ Δu⊥²/Σ Δu∥²) over contacts: large where they slide and hardly press.
+    amplitudes : (M,)
+        −(v·K_uγ)/λ, each mode's share in the motion per unit strain at ω → 0. Zero for a mode at λ = 0.
+    softening : (M,)
+        (v·K_uγ)²/(λV), by how much it lowers the modulus: G0 = ``G_affine`` − Σ softening over all modes.
+    G_affine : float
+        The modulus before anything relaxes.
+    strain : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    geometry : Packing
+    notes : tuple of str
+    performance : dict
+        Ranks, unknowns, eigensolves and counts, seconds.
+    """
+
+    eigenvalues: Array
+    vectors: Array
+    residuals: Array
+    complete: bool | None
+    disks: Integers
+    participation: Array
+    floppiness: Array
+    amplitudes: Array
+    softening: Array
+    G_affine: float
+    strain: str
+    prestress: bool
+    packing: dict[str, Any]
+    geometry: Packing
+    notes: tuple[str, ...] = ()
+    performance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def frequencies(self) -> Array:
+        """√λ of disks of unit mass, (M,); −√|λ| where λ < 0."""
+        return np.sign(self.eigenvalues) * np.sqrt(np.abs(self.eigenvalues))
+
+    def response(self, m: int) -> QuasistaticParts:
+        """Return the motion at ω → 0 of the affine deformation and the lowest ``m`` modes.
+
+        Raises
+        ------
+        InputError
+            If there are fewer modes.
+        """
+        known = len(self.eigenvalues)
+        if not 0 <= m <= known:
+            raise InputError(f"m: must be between 0 and {known}, the modes there are, not {m}")
+        u = np.tensordot(self.amplitudes[:m], self.vectors[:m], axes=1)
+        rows, affine = self._rows
+        relative = (rows @ u.ravel() + affine).reshape(-1, 2)
+        return QuasistaticParts(relative[:, 0], relative[:, 1], u)
+
+    @cached_property
+    def _rows(self) -> tuple[csr_array, Array]:
+        return _rows(ContactNetwork.of(self.geometry).without_rattlers(), self.strain)
+
+
+def lowest_modes(
+    packing: Packing,
+    count: int = 50,
+    *,
+    prestress: bool = True,
+    strain: str = "simple-shear",
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> Modes:
+    """Return the ``count`` lowest modes of K on the backbone, and prove that none was missed.
+
+    Shift and invert below the lowest eigenvalue, translations deflated. Then the pivots of one real LDLᵀ of
+    K − σ, σ in a gap above the last mode, count the eigenvalues below σ (Sylvester).
+
+    Parameters
+    ----------
+    packing : Packing
+    count : int
+        At least 1; at most 2n − 2 are returned, n the disks of the backbone.
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    strain : str
+        ``simple-shear``, ``pure-shear`` or ``compression``: what ``amplitudes`` and ``softening`` answer to.
+    comm : MPI communicator
+        Left out: COMM_SELF. Results are the same arrays on every rank.
+    name : str
+        Stored with the result.
+    progress : callable
+        Called on every rank with a fraction and a text.
+
+    Raises
+    ------
+    InputError
+        On a count below 1, an unknown strain, or a packing without a connected backbone.
+    SolverError
+        If the eigensolver fails, or keeps missing modes.
+    """
+    comm, start = resolve(comm), time.perf_counter()
+    agree(comm, packing, count, prestress, strain)
+    mode = strain_mode(strain)
+    # which law is immaterial: only K enters
+    problem = LinearProblem(packing, ContactDamping(), [mode], prestress, comm)
+    network = problem.backbone
+    check(count, network)
+    dofs = problem.number(np.outer(network.backbone, [True, True, False]))
+    needs = check_memory(comm, dofs.size)
+    if progress:
+        progress(0.0, needs)
+    stiffest = float(total(comm, problem.K_backbone.diagonal()).max())
+    with assembled(problem.K_backbone, problem.B_backbone, dofs, comm) as pencil:
+        found, complete, performance = _searched(problem, pencil, count, -BELOW * stiffest, progress)
+        values, vectors = found.values, everywhere(problem, dofs, found.vectors)
+        force = total(comm, found.vectors.T @ pencil.k[:, 0])
+    sign = signs(vectors)
+    vectors, force = vectors * sign[:, None], force * sign
+    zero = abs(values) <= ZERO * stiffest
+    if zero.any():
+        problem.notes.append(f"modes at zero, left out of the response: {zero.sum()}")
+    amplitudes = np.divide(-force, values, out=np.zeros_like(values), where=~zero)
+    relative = (_rows(network, strain)[0] @ vectors.T).reshape(len(network), 2, -1)
+    sliding, pressing = (relative[:, k] ** 2 for k in (1, 0))
+    vectors = vectors.reshape(len(values), -1, 2)
+    square = (vectors**2).sum(2)
+    with np.errstate(divide="ignore"):
+        floppiness = np.sqrt(sliding.sum(0) / pressing.sum(0))
+    performance["seconds"] = comm.bcast(time.perf_counter() - start)
+    return Modes(
+        eigenvalues=values, vectors=vectors, residuals=found.residuals, complete=complete,
+        disks=np.flatnonzero(network.backbone),
+        participation=square.sum(1) ** 2 / (square.shape[1] * (square**2).sum(1)), floppiness=floppiness,
+        amplitudes=amplitudes, softening=-mode.scale * amplitudes * force / packing.box.area,
+        G_affine=problem.modulus(problem.affine[0]).real, strain=strain, prestress=prestress,
+        packing=describe(packing, network, name), geometry=packing, notes=tuple(problem.notes),
+        performance=performance,
+    )  # fmt: skip
+
+
+def check(count: int, network: ContactNetwork) -> None:
+    """Refuse a ``count`` that is not a whole number of at least 1, and a backbone of one disk."""
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+        raise InputError(f"count: must be a whole number of at least 1, not {count!r}")
+    if network.backbone.sum() < 2:
+        raise InputError("packing: a backbone of one disk has no modes but translations")
+
+
+def signs(vectors: Array) -> Array:
+    """Return the sign of the largest component of each of ``vectors`` (M, 2n)."""
+    return np.sign(np.take_along_axis(vectors, abs(vectors).argmax(1)[:, None], axis=1))[:, 0]
+
+
+def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray) -> Array:
+    """Return the displacements of the backbone, (M, 2n), on every rank, of local ``columns``."""
+    backbone = problem.backbone.backbone
+    gathered = [dofs.gather(column, problem.comm)[backbone, :2].real.ravel() for column in columns.T]
+    return np.array(gathered)
+
+
+def _rows(network: ContactNetwork, strain: str) -> tuple[csr_array, Array]:
+    """Return the rows of Δu∥ and Δu⊥, in turn, over the backbone's displacements, and what strain adds."""
+    rows, affine = contact_rows(network, [strain_mode(strain)], at_contact_point=False)
+    return rows[:, np.flatnonzero(np.outer(network.backbone, [True, True, False]))], affine[:, 0]
+
+
+def _searched(
+    problem: LinearProblem, pencil: Pencil, count: int, shift: float, progress: Report | None
+) -> tuple[Pairs, bool | None, dict[str, Any]]:
+    """Search until a count agrees; return the pairs, whether it was had, and what all took."""
+    comm, size = problem.comm, pencil.dofs.size
+    whole, network, prestress = size - 2, problem.backbone, problem.prestress
+    count = min(count, whole)
+    if problem.negative_modes:
+        shift = on_root(comm, lambda: below_all(hessian(network, prestress)))
+    start, stop = pencil.dofs.rows_of(comm.rank)
+    components = pencil.dofs.flat[start:stop] % 3
+    translations = [(components == x) * (size / 2) ** -0.5 for x in range(2)]
+    wanted, spent = min(count + SPARE, whole), []
+    for _ in range(TRIES):
+        times = [time.perf_counter()]
+        found = lowest_pairs(pencil.K, wanted, shift, leave_out=translations)
+        times.append(time.perf_counter())
+        if progress:
+            progress(0.8, f"{wanted} modes, residual {found.residuals.max(initial=0.0):.0e}")
+        missed: int | None = 0
+        if wanted < whole:
+            try:
+                missed = on_root(comm, _missed, network, prestress, found, count)
+            except SolverError as error:
+                missed = None
+                problem.notes.append(f"the modes could not be counted: {error}")
+            give_back_memory()
+        spent.append(np.diff([*times, time.perf_counter()]))
+        if not missed:
+            break
+        wanted = min(wanted + abs(missed), whole)
+    else:
+        raise SolverError(f"the eigensolver missed {missed} of the lowest modes, {TRIES} times")
+    performance: dict[str, Any] = {"ranks": comm.size, "unknowns": size, "eigensolves": len(spent)}
+    performance["eigensolve_seconds"], performance["count_seconds"] = comm.bcast(
+        np.sum(spent, axis=0).tolist()
+    )
+    lowest = Pairs(found.values[:count], found.vectors[:, :count], found.residuals[:count])
+    return lowest, None if missed is None else True, performance
+
+
+def _missed(network: ContactNetwork, prestress: bool, found: Pairs, count: int) -> int:
+    """Return how many eigenvalues below the widest gap that was found above the lowest ``count`` were not.
+
+    Raises
+    ------
+    SolverError
+        If rounding is not below all of these gaps.
+    """
+    K, reason = hessian(network, prestress), "the last modes are degenerate"
+    for below in count + np.argsort(-np.diff(found.values)[count - 1 :]):
+        low, high = found.values[below - 1 : below + 1]
+        sigma = (low + high) / 2
+        room = min((high - low) / 2 - found.residuals[: below + 1].max(), abs(sigma))
+        try:
+            return pivots_below(K, sigma, room) - int(below) - 2 * (sigma > 0)
+        except SolverError as error:
+            reason = str(error)
+    raise SolverError(reason)
