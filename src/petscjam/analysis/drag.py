@@ -1,6 +1,10 @@
 """Nonlinear drag by the method of equivalent damping (BT eqs. 9 and 23–29), one time for all contacts.
 
 The force on a contact is −k τ1^α ρ0^(1−α) |v|^(α−1) v, v its relative velocity where the disks touch. A
+linear force −kτv stands for it, τ chosen so that a cycle along the same path dissipates as much. Here it is
+the τα(ω, δσ) of a single spring under a force of amplitude δσ; in :mod:`petscjam.analysis.contact_drag` each
+contact has its own. docs/howto/drag.md derives both. k = ρ0 = τ1 = 1.
+
 Axes: w frequency, c contact of the backbone.
 """
 

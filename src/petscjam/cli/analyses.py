@@ -81,7 +81,8 @@ def figure(options: argparse.Namespace, comm: Any) -> None:
     with progress(f"figure {options.name}", show=comm.rank == 0) as report:
         make_figure(
             options.name, options.preset, folder, file=options.parameters, comm=comm,
-            overwrite=options.overwrite, resume=options.resume, progress=report, log=log,
+            overwrite=options.overwrite,
+            resume=options.resume, existing=options.existing, progress=report, log=log,
         )  # fmt: skip
     say(comm, on_root(comm, (folder / f"{options.name}.md").read_text))
     say(comm, f"{folder / options.name}.png")

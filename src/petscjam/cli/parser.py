@@ -239,6 +239,8 @@ def build_parser() -> Parser:
                         "hours to days)")  # fmt: skip
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=Path, metavar="FILE.toml", help=text)
+    p.add_argument("--existing", action="store_true",
+                   help="prepare no packings, go on with those in the folder")  # fmt: skip
     text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 

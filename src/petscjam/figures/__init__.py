@@ -58,12 +58,14 @@ def make_figure(
     comm: Any,
     overwrite: bool = False,
     resume: bool = False,
+    existing: bool = False,
     progress: Report | None = None,
     log: Any = print,
 ) -> list[Finding]:
     """Draw figure ``name`` into ``folder``: NAME.png, NAME.md with what was found, NAME*.h5 with the results.
 
-    Packings lie in ``folder``/packings, for all figures. What is there already is kept, unless ``overwrite``.
+    Packings lie in ``folder``/packings, for all figures. What is there already is kept, unless ``overwrite``;
+    ``existing`` prepares no further packings.
 
     Raises
     ------
@@ -76,7 +78,7 @@ def make_figure(
     picture = folder / f"{name}.png"
     on_root(comm, folder.mkdir, parents=True, exist_ok=True)
     on_root(comm, check_output, picture, overwrite=overwrite or resume)
-    study = Study(name, preset, known[preset], folder, comm, overwrite, progress, log)
+    study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
     import_module(f"petscjam.figures.{name}").draw(study, picture)
     on_root(comm, study.write)
     return study.findings

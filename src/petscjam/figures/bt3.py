@@ -29,8 +29,13 @@ def draw(study: Study, picture: Path) -> None:
     on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), ContactDamping(), picture)
 
 
-def draw_collapse(study: Study, results: Mapping[str, Any], law: DampingLaw, picture: Path) -> None:
-    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents."""
+def draw_collapse(
+    study: Study, results: Mapping[str, Any], law: DampingLaw, picture: Path, affine: float = AFFINE
+) -> None:
+    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents.
+
+    From the frequency ``affine`` on the response is no longer critical.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 9.5), layout="constrained")
@@ -39,11 +44,11 @@ def draw_collapse(study: Study, results: Mapping[str, Any], law: DampingLaw, pic
         groups = by_pressure(results, prestress=prestress)
         if not groups:
             continue
-        exponents(study, groups, given(prestress))
+        exponents(study, groups, given(prestress), affine)
         colour = coloured(list(groups))
         for p, some in groups.items():
             draw_mean(row[0], some, colour(p), f"p = {p:.2g} ({len(some)})")
-            draw_mean(row[1], some, colour(p), "", x=1 / p, y=p**-0.5, most=AFFINE)
+            draw_mean(row[1], some, colour(p), "", x=1 / p, y=p**-0.5, most=affine)
         guide(row[0], (1e-6, 1e-4), 8e-7, 1, "slope 1")
         guide(row[1], (1e-2, 0.3), 8e-4, 1, "slope 1")
         guide(row[1], (30, 1e3), 0.5, 0.5, "slope ½")
@@ -51,21 +56,21 @@ def draw_collapse(study: Study, results: Mapping[str, Any], law: DampingLaw, pic
         row[0].set_title(f"{law}, {given(prestress)}; (number of packings)", fontsize=10)
         row[0].legend(frameon=False, fontsize=8)
         row[1].set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
-        row[1].set_title(rf"collapse with the paper's exponents, $\omega\tau_1 \leq$ {AFFINE:g}", fontsize=10)
+        row[1].set_title(rf"collapse with the paper's exponents, $\omega\tau_1 \leq$ {affine:g}", fontsize=10)
     save(figure, picture)
 
 
-def exponents(study: Study, groups: Mapping[float, list[Any]], how: str) -> None:
+def exponents(study: Study, groups: Mapping[float, list[Any]], how: str, affine: float) -> None:
     """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime."""
     p = np.array(list(groups))
     study.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
     study.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")
     times = [[g.eta0 / g.G0 for g in some] for some in groups.values()]
     study.exponent(f"−λ, τ* = η0/G0 ~ p^−λ, {how}", p, times, "−1", estimator="median")
-    for name, most_p, most_omega in (("", np.inf, AFFINE), (", p ≤ 1e-3, ω ≤ 0.01", 1.01e-3, 0.01)):
+    for name, most_p, most_omega in (("", np.inf, affine), (", p ≤ 1e-3, ω ≤ 0.01", 1.01e-3, 0.01)):
         _collapsed(study, {x: some for x, some in groups.items() if x <= most_p}, most_omega, how + name)
     lowest = groups[p.min()]
-    middle = float(np.sqrt(p.min() * AFFINE))
+    middle = float(np.sqrt(p.min() * affine))
     for name, part in (("G′", np.real), ("G″", np.imag)):
         slopes = [_slope(g.model, part, middle) for g in lowest]
         spread = float(np.std(slopes, ddof=1) / len(slopes) ** 0.5) if len(slopes) > 1 else np.nan

@@ -13,12 +13,14 @@ from petscjam.figures.study import Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
 
+FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
+
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
     files = study.packings(study["particles"], study["pressure"])
     results = study.moduli(files, study["omega"], [StokesDrag()], prestress=(True, False))
-    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture)
+    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture, FLUID)
     one = study.packings(study["particles"], [study["fluid_pressure"]])
     fluids = [StokesDrag(float(eta)) for eta in study["fluids"]]
     varied = study.moduli(one, study["omega"], fluids, tag="fluids")

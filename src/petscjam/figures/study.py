@@ -16,7 +16,7 @@ from petscjam.damping import DampingLaw
 from petscjam.ensemble import survey, sweep
 from petscjam.errors import InputError, SolverError
 from petscjam.io.results import read_results
-from petscjam.packing.library import prepare_library
+from petscjam.packing.library import prepare_library, read_library
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given
 from petscjam.progress import Report
@@ -48,6 +48,8 @@ class Study:
     comm : communicator
     overwrite : bool
         Make results anew; packings are kept all the same.
+    existing : bool
+        Prepare no packings: go on with those that are there.
     progress, log : callable
     findings : list of Finding
     tallies : list of str
@@ -60,6 +62,7 @@ class Study:
     folder: Path
     comm: Any
     overwrite: bool = False
+    existing: bool = False
     progress: Report | None = None
     log: Callable[[str], None] = print
     findings: list[Finding] = field(default_factory=list)
@@ -89,9 +92,13 @@ class Study:
         """Return the packings of these sizes and pressures, made if need be, less those not proved."""
         sizes = [particles] if isinstance(particles, int) else list(particles)
         wanted, own = [float(f"{p:.12g}") for p in pressures], list(seeds or self["seeds"])
-        library = prepare_library(
-            self.folder / "packings", sizes, wanted, own, comm=self.comm, resume=True, progress=self.progress
-        )
+        folder = self.folder / "packings"
+        if self.existing:
+            library = on_root(self.comm, read_library, folder)
+        else:
+            library = prepare_library(
+                folder, sizes, wanted, own, comm=self.comm, resume=True, progress=self.progress
+            )
         rows = [
             r for r in library.rows if r["particles"] in sizes and r["target"] in wanted and r["seed"] in own
         ]
@@ -100,7 +107,7 @@ class Study:
         self.tallies.append(
             f"{len(proved)} packings: N = {', '.join(map(str, sizes))}; "
             f"p = {', '.join(f'{p:.3g}' for p in wanted)}; {len(own)} seeds. "
-            f"Left out because not proved minima: {missing}."
+            f"Left out because not there or not proved minima: {missing}."
         )
         return proved
 
@@ -169,9 +176,13 @@ class Study:
         window: tuple[float, float] | None = None,
         **options: Any,
     ) -> PowerFit | None:
-        """Fit a power law and note its exponent; None, with a remark, where it cannot be fitted."""
+        """Fit a power law and note its exponent; None, with a remark, where it cannot be fitted.
+
+        An x with a single packing does not count.
+        """
+        several = [m for m, some in enumerate(samples) if len(some) > 1]
         try:
-            fit = power_law(x, samples, window, **options)
+            fit = power_law(np.asarray(x)[several], [samples[m] for m in several], window, **options)
         except InputError as error:
             self.findings.append(Finding(name, np.nan, np.nan, paper, str(error)))
             return None

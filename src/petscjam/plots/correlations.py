@@ -80,4 +80,5 @@ def _draw_lengths(axes: Any, alike: Mapping[Any, Mapping[str, Correlations]]) ->
                       label=f"{law}, N = {n}, p = {p:g}, {given(prestress)}")  # fmt: skip
     axes.axhline(0.25, color="0.6", ls=":", lw=0.8, zorder=0)
     axes.set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel=r"$l/L$  (dotted: ¼)")
+    axes.set_ylim(bottom=axes.get_ylim()[0] / 3)  # room for the legend
     axes.legend(frameon=False, fontsize=7, loc="lower left")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any
 
@@ -12,6 +12,10 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.plots.figure import UNSTABLE, save
 
 STYLE = {"uniform": "--", "per contact": "-"}
+CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
+    "uniform": (lambda alpha: alpha / 2, r"\alpha/2"),
+    "per contact": (lambda alpha: 2 * alpha / (1 + 3 * alpha), r"2\alpha/(1+3\alpha)"),
+}  # of G* against ω in the critical regime: docs/howto/drag.md
 
 
 def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]) -> None:
@@ -37,9 +41,8 @@ def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]
         panels[0].plot([], [], STYLE[form], color="0.3", label=form)
     if not all(g.converged.all() for g in results.values()):
         panels[0].plot([], [], "x", color=UNSTABLE, label="not converged")
-    for alpha in sorted({alpha for alpha, _ in kinds}):
-        for slope, name in ((alpha, r"\alpha"), (alpha / 2, r"\alpha/2")):
-            _guide(panels[1], [g for g in results.values() if g.alpha == alpha], slope, name)
+    for form, alpha in sorted({(g.form, g.alpha) for g in results.values()}):
+        _guides(panels[1], [g for g in results.values() if (g.form, g.alpha) == (form, alpha)])
     panels[0].legend(frameon=False, fontsize=8)
     for axes, name in zip(panels, (r"$G'$  (units of $k$)", r"$G''$  (units of $k$)", r"$\tau/\tau_1$"),
                           strict=True):  # fmt: skip
@@ -67,11 +70,21 @@ def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:
         )
 
 
-def _guide(axes: Any, some: list[NonlinearModulus], slope: float, name: str) -> None:
-    """Draw a slope below the lowest G″, over the lower half of the frequencies."""
-    low, high = min(g.omega.min() for g in some), max(g.omega.max() for g in some)
-    span = np.array([low, np.sqrt(low * high)])
-    guide = 0.4 * min(np.abs(g.values.imag).min() for g in some) * (span / span[0]) ** slope
-    axes.loglog(span, guide, color="0.5", lw=1)
-    axes.annotate(f"slope ${name}$", (span[1], guide[1]), color="0.4", xytext=(4, -3),
-                  textcoords="offset points", fontsize=9)  # fmt: skip
+def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
+    """Draw the slopes beside G″ that are expected: quasi-static, and where G′ ≈ G″."""
+    first, last = min(alike, key=lambda g: g.stress), max(alike, key=lambda g: g.stress)
+    if len(first.omega) < 3 or first.alpha == 1:
+        return
+    power, name = CRITICAL[first.form]
+    g, above = (first, 2.0) if first.form == "uniform" else (last, 0.5)
+    middle = int(np.argmin(abs(np.log(abs(g.values.imag / g.values.real)))))
+    low = int(np.argmin(g.omega))
+    for at, reach, slope, text in (
+        (low, 1e3, g.alpha, r"\alpha"), (middle, 1e2, power(g.alpha), name),
+    ):  # fmt: skip
+        span = g.omega[at] * np.array([1, reach])
+        guide = above * abs(g.values.imag[at]) * (span / span[0]) ** slope
+        axes.loglog(span, guide, STYLE[g.form], color="0.5", lw=1)
+        end, shift, side = (1, (-4, 0), "right") if above > 1 else (0, (6, -10), "left")
+        axes.annotate(f"slope ${text}$", (span[end], guide[end]), color="0.4", fontsize=8,
+                      xytext=shift, textcoords="offset points", ha=side)  # fmt: skip

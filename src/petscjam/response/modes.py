@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from petscjam.box import Array, Integers
@@ -32,6 +33,7 @@ from petscjam.response.problem import LinearProblem, agree, describe
 SPARE = 3  # modes above the last, to find a gap in which they can be counted
 TRIES = 3  # searches, each for what the count before says was missed
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
+LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
 ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
 INSTANT = 1e-13  # of the slowest relaxation time: no friction
 
@@ -239,6 +241,8 @@ def _searched(
     start, stop = pencil.dofs.rows_of(comm.rank)
     components = pencil.dofs.flat[start:stop] % 3
     translations = [(components == x) * (size / 2) ** -0.5 for x in range(2)]
+    if size <= LARGEST_DENSE and count > MANY * size:
+        return _dense(problem, pencil, count)
     wanted, spent = min(count + SPARE, whole), []
     for _ in range(TRIES):
         times = [time.perf_counter()]
@@ -266,6 +270,31 @@ def _searched(
     )
     lowest = Pairs(found.values[:count], found.vectors[:, :count], found.residuals[:count])
     return lowest, None if missed is None else True, performance
+
+
+def _dense(problem: LinearProblem, pencil: Pencil, count: int) -> tuple[Pairs, bool, dict[str, Any]]:
+    """Return the lowest modes out of all, by LAPACK on one rank; the translations are moved above them."""
+    comm, backbone = problem.comm, problem.backbone.backbone
+
+    def solve() -> tuple[Array, Array, Array]:
+        K = hessian(problem.backbone, problem.prestress)
+        translations = np.tile(np.eye(2), (int(backbone.sum()), 1)) / np.sqrt(backbone.sum())
+        above = 2 * abs(K).sum(0).max()
+        values, vectors = eigh(K.toarray() + above * translations @ translations.T)
+        values, vectors = values[:count], vectors[:, :count]
+        return values, vectors, np.linalg.norm(K @ vectors - vectors * values, axis=0)
+
+    start = time.perf_counter()
+    values, vectors, residuals = on_root(comm, solve)
+    field = np.zeros((len(backbone), 3), dtype=complex)
+    local = np.empty((pencil.dofs.counts[comm.rank], count))
+    for m in range(count):
+        field[backbone, :2] = vectors[:, m].reshape(-1, 2)
+        local[:, m] = pencil.dofs.scatter(field, comm.rank).real
+    seconds = comm.bcast(time.perf_counter() - start)
+    performance = {"ranks": comm.size, "unknowns": pencil.dofs.size, "eigensolves": 1,
+                   "eigensolve_seconds": seconds, "count_seconds": 0.0}  # fmt: skip
+    return Pairs(values, local, residuals), True, performance
 
 
 def _missed(network: ContactNetwork, prestress: bool, found: Pairs, count: int) -> int:
