@@ -7,7 +7,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
 READY_DOCS := $(if $(READY),.venv/.ready-docs)
 export PYTHON
 
-.PHONY: help setup demo test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps clean
+.PHONY: help setup demo figures test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -51,6 +51,10 @@ format: $(READY) ## let ruff repair and format what it can
 docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+figures: $(READY) ## every figure of the paper with 4096 disks, and its page in the docs (an hour; resumable)
+	mpi_runs/figures.sh medium
+	$(PYTHON) tools/paper-pages.py runs/medium
 
 bench: $(READY) ## spectrum and direct sweep against bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh

@@ -279,12 +279,6 @@ def correlation_length(results: Mapping[str, Correlations], part: str = "real") 
     return CorrelationLength(stable[0].omega, L, delta, mean, length, np.sqrt((n - 1) * left.var(0)))
 
 
-def collapse_length(omega: ArrayLike, length: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:
-    """Return ω/p^½ and l(−ln p)^0.65, the axes of BT Fig. 7d, for p < 1 in units of the stiffness."""
-    p = np.asarray(pressure, dtype=float)
-    return np.asarray(omega) / np.sqrt(p), np.asarray(length) * (-np.log(p)) ** 0.65
-
-
 def _at(delta: Array, known: Array, C: Array) -> Array:
     """Return C at ``delta`` by linear interpolation between bins that hold pairs."""
     there = np.isfinite(C)

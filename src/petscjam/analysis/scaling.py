@@ -203,6 +203,14 @@ def finite_size(a: float, b: float = 2.0, *, N: float) -> tuple[float, float]:
     return N**b, N**-a
 
 
+def log_corrected(c: float = 0.65, b: float = 0.5, *, p: float) -> tuple[float, float]:
+    """l/(−ln p)^c against ω/p^b: the correlation length under Stokes drag (BT Fig. 7d), p < 1.
+
+    BT print l(−ln p)^0.65. It is with the other sign of the exponent that lengths collapse.
+    """
+    return p**-b, (-np.log(p)) ** -c
+
+
 def collapse(
     curves: Sequence[Curve],
     form: Callable[..., tuple[float, float]],

@@ -7,21 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from petscjam.analysis.correlations import (
     CorrelationLength,
-    collapse_length,
     correlation_length,
     correlations,
 )
+from petscjam.analysis.scaling import log_corrected
+from petscjam.box import Array
 from petscjam.damping import ContactDamping, StokesDrag
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import by_pressure as coloured
 from petscjam.plots.figure import save
+
+
+class Lengths(NamedTuple):
+    """l of each packing at a pressure, (k, w), where it grows."""
+
+    p: float
+    omega: Array
+    samples: Array
 
 
 def draw(study: Study, picture: Path) -> None:
@@ -55,7 +65,8 @@ def _draw_contact(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     sizes = sorted({c.packing["particles"] for c in results.values()})
     for k, n in enumerate(sizes):
         some = {name: c for name, c in results.items() if c.packing["particles"] == n}
-        mean, L = correlation_length(some), np.mean([c.L for c in some.values()])
+        mean = correlation_length(some)
+        L = mean.L
         for w, omega in enumerate(mean.omega):
             label = rf"N = {n}, $\omega\tau_1$ = {omega:.0e} ({len(some)})"
             axes.plot(mean.delta / L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label)
@@ -76,7 +87,7 @@ def _draw_stokes(
     from matplotlib import colormaps
 
     p = min(groups, key=lambda p: abs(np.log(p / shown)))
-    mean, L = lengths[p], np.mean([c.L for c in groups[p]])
+    mean, L = lengths[p], lengths[p].L
     for w in range(0, len(mean.omega), 2):
         colour = colormaps["viridis"](0.9 * w / len(mean.omega))
         label = rf"$\omega\tau_1$ = {mean.omega[w]:.0e}"
@@ -91,29 +102,54 @@ def _draw_stokes(
 def _draw_lengths(
     study: Study, panels: Any, groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength]
 ) -> None:
-    """Draw the length against the frequency for every pressure, raw and with the paper's rescaling."""
+    """Draw the length against the frequency for every pressure, raw and rescaled; note the best rescaling."""
     colour = coloured(list(groups))
+    curves: list[Lengths] = []
     for p, mean in lengths.items():
-        L = np.mean([c.L for c in groups[p]])
+        label = f"p = {p:.2g} ({len(groups[p])})"
         panels[0].errorbar(mean.omega, mean.length, mean.error, fmt="o-", ms=4, lw=0.8, color=colour(p),
-                           label=f"p = {p:.2g} ({len(groups[p])})")  # fmt: skip
-        panels[0].axhline(L / 4, color="0.6", lw=0.8, ls="--")
-        x, y = collapse_length(mean.omega, mean.length, np.full(len(mean.omega), p))
-        below = mean.length < 0.8 * L / 4
-        panels[1].plot(x[below], y[below], "o", ms=4, color=colour(p))
-        low = Finding(f"Stokes drag, p = {p:.2g}: plateau l/L at the lowest ω", mean.length[0] / L,
-                      mean.error[0] / L, "about 1/4")  # fmt: skip
-        study.findings.append(low)
-        growing = below & (mean.omega < 0.1 * np.sqrt(p)) & np.isfinite(mean.length)
-        if growing.sum() > 2:
-            slope, _ = np.polyfit(np.log(mean.omega[growing]), np.log(mean.length[growing]), 1)
-            remark = (
-                f"ω from {mean.omega[growing][0]:.0e} to {mean.omega[growing][-1]:.0e}, no error estimated"
-            )
-            study.findings.append(Finding(f"Stokes drag, p = {p:.2g}: l ~ ω^x", slope, np.nan, "—", remark))
+                           label=label)  # fmt: skip
+        panels[0].axhline(mean.L / 4, color="0.6", lw=0.8, ls="--")
+        grows = (mean.length < 0.7 * mean.length[0]) & (mean.omega < 0.02)
+        x, y = log_corrected(p=p)
+        panels[1].loglog(mean.omega[grows] * x, mean.length[grows] * y, "o", ms=4, color=colour(p))
+        plateau, error = mean.length[0] / mean.L, mean.error[0] / mean.L
+        name = f"Stokes drag, p = {p:.2g}: plateau l/L at the lowest ω"
+        study.findings.append(Finding(name, plateau, error, "about 1/4"))
+        own = np.array([c.length[grows] for c in groups[p]])
+        own = own[np.isfinite(own).all(1)]
+        if grows.sum() > 1 and len(own) > 1:
+            curves.append(Lengths(p, mean.omega[grows], own))
+    if len(curves) > 1:
+        _note_collapse(study, curves)
     panels[0].set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel="$l$  (units of $d$)")
     panels[0].set_title("(c) length where C crosses zero; dashed: L/4", fontsize=10)
     panels[0].legend(frameon=False, fontsize=8)
-    panels[1].set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1/p^{1/2}$",
-                  ylabel=r"$l\,(-\ln p)^{0.65}$")  # fmt: skip
-    panels[1].set_title("(d) collapse as in the paper, below 0.8 of the plateau", fontsize=10)
+    panels[1].set(xlabel=r"$\omega\tau_1/p^{1/2}$", ylabel=r"$l\,(-\ln p)^{-0.65}$")
+    panels[1].set_title(r"(d) collapse below 0.7 of the plateau, $\omega\tau_1$ < 0.02", fontsize=10)
+
+
+def _note_collapse(study: Study, curves: list[Lengths]) -> None:
+    """Note how far l(−ln p)^−c lies from one curve against ω/p^½, and for which c it lies nearest."""
+    what = "Stokes drag, below 0.7 of the plateau and ω < 0.02: scatter of ln l(−ln p)^−c, "
+    for c, remark in ((-0.65, "as printed"), (0.0, "no logarithm"), (0.65, "the other sign")):
+        study.findings.append(Finding(f"{what}c = {c:g}", scatter(c, curves), np.nan, "—", remark))
+    generator = np.random.default_rng(0)
+    best = []
+    for again in [False] + [True] * 200:
+        drawn = curves
+        if again:
+            rows = [generator.integers(len(curve.samples), size=len(curve.samples) - 1) for curve in curves]
+            drawn = [curve._replace(samples=curve.samples[k]) for curve, k in zip(curves, rows, strict=True)]
+        best.append(minimize_scalar(scatter, args=(drawn,), bounds=(-3, 3), method="bounded").x)
+    study.findings.append(Finding("c of the least scatter", best[0], float(np.std(best[1:])), "−0.65"))
+
+
+def scatter(c: float, curves: list[Lengths]) -> float:
+    """Return the rms distance of ln l(−ln p)^−c from a parabola in ln ω/p^½, over curves at several p."""
+    points = []
+    for curve in curves:
+        X, Y = log_corrected(c, p=curve.p)
+        points.append(np.log([curve.omega * X, curve.samples.mean(0) * Y]))
+    x, y = np.concatenate(points, axis=1)
+    return float(np.sqrt(np.mean((y - np.polyval(np.polyfit(x, y, 2), x)) ** 2)))
