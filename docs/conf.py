@@ -13,7 +13,8 @@ extensions = [
 html_theme = "furo"
 html_title = "petscjam"
 templates_path = ["_templates"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "paper/results"]
+suppress_warnings = ["ref.python"]  # the C of a shape (C,) is no reference
 
 myst_enable_extensions = ["amsmath", "dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -31,6 +31,7 @@ _WHERE = {
     "average": "ensemble",
     "elastic_constants": "response.moduli",
     "lowest_modes": "response.modes",
+    "rebuilt_response": "analysis.rebuilt",
     "relaxation_modes": "response.relaxations",
     "density_of_states": "analysis.density",
     "correlations": "analysis.correlations",

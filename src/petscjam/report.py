@@ -11,6 +11,7 @@ from petscjam.analysis.correlations import Correlations
 from petscjam.analysis.density import DensityOfStates, plateau
 from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
+from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.network import ContactNetwork
 from petscjam.packing.library import Library
@@ -160,6 +161,11 @@ def _modes(r: Modes) -> dict[str, float | str]:
     }  # fmt: skip
 
 
+def _rebuilt(r: Rebuilt) -> dict[str, float | str]:
+    ratios = {f"{motion} / direct": r.ratios[k, -1] for k, motion in enumerate(MOTIONS)}
+    return {"modes": f"{r.counts[-1]} of {r.modes}", **ratios}
+
+
 def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
     return {
         "law": str(r.damping), "modes": f"{len(r.times)}", "slowest": r.times[0], "fastest": r.times[-1],
@@ -201,6 +207,7 @@ COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
     QuasistaticResponse: ("moduli in k, motions in d per unit strain", _nonaffine),
     Viscosity: ("viscosity in k tau1, modulus in k", _viscosity),
     Modes: ("eigenvalues and moduli in k", _modes),
+    Rebuilt: ("medians from the lowest modes over those of the direct solve", _rebuilt),
     RelaxationModes: ("times in tau1, weights in k", _relaxations),
     DensityOfStates: ("frequencies in (k/m)^½, densities in their inverse", _density),
     Correlations: ("lengths in d", _correlations),

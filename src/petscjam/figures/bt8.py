@@ -20,6 +20,7 @@ from petscjam.plots.figure import given, save
 LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
 BULK = 100.0  # pN² above which the number of disks should not matter
+LARGE = 50.0  # pN² from which η0 is looked at for a dependence on N
 MARKERS = "osD^vP*X"
 
 
@@ -41,6 +42,8 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
         for prestress in (False, True):
             curves = _curves(results, law, prestress)
             _find(study, curves, law, a, prestress)
+            if not prestress:
+                _intensive(study, curves, law)
             for k, (n, groups) in enumerate(curves.items()):
                 p = np.array(list(groups))
                 mean, error = errors(list(groups.values()))
@@ -66,6 +69,15 @@ def _curves(
         groups = by_pressure(own, prestress=prestress, damping=law)
         curves[n] = {p: [v.eta0 for v in some] for p, some in groups.items() if len(some) > 1}
     return curves
+
+
+def _intensive(study: Study, curves: Mapping[int, Any], law: DampingLaw) -> None:
+    """Note how η0 depends on the number of disks where that should not matter: x = 0 if it is intensive."""
+    for p in sorted({p for groups in curves.values() for p in groups}):
+        sizes = [n for n, groups in curves.items() if p in groups and p * n**2 >= LARGE]
+        if len(sizes) > 2:
+            samples = [curves[n][p] for n in sizes]
+            study.exponent(f"η0 ~ N^x, {law}, without pre-stress, p = {p:.2g}", sizes, samples, "0, or a − 1")
 
 
 def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, prestress: bool) -> None:

@@ -120,7 +120,7 @@ class Study:
         tag: str = "",
         **options: Any,
     ) -> dict[str, Any]:
-        """Return G* of every packing under each law, made if need be (``sweep``)."""
+        """Return G* of every packing under each law, made if need be (``sweep``); on rank 0 alone."""
         return self._made(
             files, tag, lambda output, **common: sweep(files, omegas, output, laws=laws, **common, **options)
         )
@@ -134,7 +134,7 @@ class Study:
         tag: str = "",
         **options: Any,
     ) -> dict[str, Any]:
-        """Return what ``analyse`` says of every packing, made if need be (``survey``)."""
+        """Return what ``analyse`` says of every packing, made if need be (``survey``); on rank 0 alone."""
         return self._made(
             files, tag, lambda output, **common: survey(files, output, analyse, settings, **common, **options)
         )
@@ -149,7 +149,8 @@ class Study:
         if failures:
             self.tallies.append(f"{len(failures)} results failed: {'; '.join(failures)}")
         names = {file.stem for file in files}
-        results: dict[str, Any] = on_root(self.comm, read_results, output)
+        results: dict[str, Any] = {}
+        on_root(self.comm, lambda: results.update(read_results(output)))  # they may be large
         return {name: r for name, r in results.items() if r.packing["name"] in names}
 
     def tally(self, results: Mapping[str, Any], what: str) -> dict[str, Any]:
@@ -187,10 +188,9 @@ class Study:
             self.findings.append(Finding(name, np.nan, np.nan, paper, str(error)))
             return None
         low, high = fit.window
+        quality = "" if np.isnan(fit.chi2) else f", χ² = {fit.chi2:.1f}"
         self.findings.append(
-            Finding(
-                name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}, χ² = {fit.chi2:.1f}"
-            )
+            Finding(name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}{quality}")
         )
         return fit
 

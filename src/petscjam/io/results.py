@@ -14,6 +14,7 @@ from petscjam.analysis.correlations import Correlations
 from petscjam.analysis.density import DensityOfStates
 from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import QuasistaticResponse
+from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
@@ -32,6 +33,7 @@ KINDS: dict[str, type] = {
     "petscjam viscosity": Viscosity,
     "petscjam modes": Modes,
     "petscjam relaxations": RelaxationModes,
+    "petscjam rebuilt": Rebuilt,
     "petscjam density": DensityOfStates,
     "petscjam correlations": Correlations,
     "petscjam drag": NonlinearModulus,

@@ -1,0 +1,102 @@
+"""The quasi-static response rebuilt from the lowest modes, beside the direct solve (BT Fig. 5).
+
+Axes: m mode, k number of modes, a motion (parallel, transverse, non-affine).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
+from petscjam.box import Array, Integers
+from petscjam.packing.packing import Packing
+from petscjam.progress import Report, part
+from petscjam.response.modes import lowest_modes
+
+POINTS = 40  # numbers of modes, evenly in their logarithm
+
+
+@dataclass(frozen=True, eq=False)
+class Rebuilt:
+    """How the response per unit strain builds up from the lowest modes of K. Units as in :class:`Modes`.
+
+    Attributes
+    ----------
+    counts : (K,)
+        Numbers of lowest modes.
+    medians : (3, K)
+        Medians of |Δu∥| and |Δu⊥| over contacts and of |u_na| over disks, from the affine motion and the
+        lowest modes.
+    direct : (3,)
+        The same of the direct solve.
+    frequencies, floppiness, participation, softening : (M,)
+        Of each mode, as in :class:`Modes`.
+    modes : int
+        How many modes there are, 2n − 2.
+    complete : bool or None
+        Whether it is proved that no mode was missed.
+    strain : str
+    prestress : bool
+    packing : dict
+        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    notes : tuple of str
+    """
+
+    counts: Integers
+    medians: Array
+    direct: Array
+    frequencies: Array
+    floppiness: Array
+    participation: Array
+    softening: Array
+    modes: int
+    complete: bool | None
+    strain: str
+    prestress: bool
+    packing: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def ratios(self) -> Array:
+        """Medians from the lowest modes over those of the direct solve, (3, K)."""
+        return self.medians / self.direct[:, None]
+
+
+def rebuilt_response(
+    packing: Packing,
+    count: int = 50,
+    *,
+    prestress: bool = True,
+    strain: str = "simple-shear",
+    comm: Any = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> Rebuilt:
+    """Rebuild the response at ω → 0 from up to ``count`` modes; the vectors are not kept.
+
+    The parameters are those of :func:`petscjam.lowest_modes`.
+
+    Raises
+    ------
+    InputError, SolverError
+        As :func:`petscjam.lowest_modes` and :func:`petscjam.quasistatic_response`.
+    """
+    settings: dict[str, Any] = {"prestress": prestress, "strain": strain, "comm": comm, "name": name}
+    found = lowest_modes(packing, count, **settings, progress=progress and part(progress, 0, 2))
+    direct = quasistatic_response(packing, **settings, progress=progress and part(progress, 1, 2))
+    counts = np.unique(np.geomspace(1, len(found.eigenvalues), POINTS).astype(int))
+    medians = np.empty((len(MOTIONS), len(counts)))
+    for k, m in enumerate(counts):
+        motion = found.response(int(m))
+        sizes = abs(motion.parallel), abs(motion.transverse), np.linalg.norm(motion.nonaffine, axis=1)
+        medians[:, k] = [np.median(size) for size in sizes]
+    return Rebuilt(
+        counts=counts, medians=medians,
+        direct=np.array([np.median(direct.sizes(motion)) for motion in MOTIONS]),
+        frequencies=found.frequencies, floppiness=found.floppiness, participation=found.participation,
+        softening=found.softening, modes=2 * len(found.disks) - 2, complete=found.complete, strain=strain,
+        prestress=prestress, packing=found.packing, notes=found.notes,
+    )  # fmt: skip
