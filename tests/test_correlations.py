@@ -10,7 +10,6 @@ import pytest
 import petscjam as pj
 from petscjam import reference
 from petscjam.analysis.correlations import (
-    collapse_length,
     correlation_length,
     correlations,
     correlations_of,
@@ -179,12 +178,6 @@ def test_zero_crossing_passes_over_bins_without_pairs():
 
 def test_minimum_of_a_known_curve():
     assert minimum([0, 1, 2, 3], [np.nan, 0.2, -0.4, 0.1]) == (2.0, -0.4)
-
-
-def test_collapse_has_the_logarithm_of_the_paper():
-    x, y = collapse_length([1e-3, 1.0], [2.0, 1.0], np.exp(-4.0))
-    np.testing.assert_allclose(x, [1e-3 * np.e**2, np.e**2])
-    np.testing.assert_allclose(y, [2 * 4**0.65, 4**0.65])
 
 
 def straight(root, L=10.0, omega=(1.0,)):

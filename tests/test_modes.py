@@ -188,6 +188,41 @@ def test_a_count_that_rounding_may_change_is_none():
         pivots_below(K, 2.5, 1e-18)
 
 
+# ---- LAPACK for many modes, SLEPc for few
+
+
+def searched(m):
+    """Whether SLEPc looked for them: LAPACK needs no count."""
+    return m.performance["count_seconds"] > 0
+
+
+@pytest.mark.parallel(nprocs=[1, 2, 3])
+@any_prestress
+@pytest.mark.parametrize("make", [jammed, random_disks])
+@pytest.mark.parametrize("count", [30, 10**6])
+def test_both_eigensolvers_agree(comm, make, count, prestress, monkeypatch):
+    lapack = lowest_modes(make(), count, prestress=prestress, comm=comm)
+    monkeypatch.setattr(modes_module, "LARGEST_DENSE", 0)
+    slepc = lowest_modes(make(), count, prestress=prestress, comm=comm)
+    assert searched(slepc) and not searched(lapack)
+    assert lapack.eigenvalues == pytest.approx(slepc.eigenvalues, abs=1e-11)
+    assert max(lapack.residuals.max(), slepc.residuals.max()) < 1e-9 * abs(slepc.eigenvalues).max()
+    assert lapack.complete is slepc.complete is True
+    # a cluster may turn, so what is compared is the space
+    v, w = (m.vectors.reshape(len(m.vectors), -1) for m in (lapack, slepc))
+    assert np.linalg.norm(v @ w.T, axis=1) == pytest.approx(1, abs=1e-9)
+
+
+@any_prestress
+def test_few_modes_of_a_larger_packing_are_searched_for(prestress):
+    packing = jammed(n=256)
+    m = lowest_modes(packing, 8, prestress=prestress)
+    values, _ = without_translations(hessian(pj.ContactNetwork.of(packing), prestress).toarray())
+    assert searched(m) and m.complete
+    assert m.eigenvalues == pytest.approx(values[:8], rel=1e-8)
+    assert (m.residuals < 1e-8 * m.eigenvalues).all()
+
+
 # ---- the response
 
 

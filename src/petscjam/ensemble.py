@@ -21,7 +21,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.errors import InputError, SolverError
 from petscjam.io.importers import import_packing
-from petscjam.io.results import append_result, done, group_name, read_results, run_of, settings_of
+from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root
@@ -153,20 +153,20 @@ def survey(
     InputError
         On files that are missing or no packings, an output that exists or was made with other settings.
     """
-    wanted = ", ".join(f"{key} = {_plainly(value)}" for key, value in settings.items())
+    wanted = f"{analyse.__name__}({', '.join(f'{key}={_plainly(value)}' for key, value in settings.items())})"
 
     def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
         _check_files(files, output, overwrite=overwrite or resume)
-        jobs = list(_jobs(files, laws, prestress, together=False))
+        jobs = list(_jobs(files, laws, prestress, together=False, tagged=True))
         there: set[tuple[str, str, bool]] = set()
         if resume and Path(output).exists():
-            made_with = settings_of(output)
-            for name, result in read_results(output).items():
-                if made_with[name] != wanted:
-                    own = made_with[name]
-                    raise InputError(f"{output}: {name} was made with {own}, not {wanted}; cannot be resumed")
-                law = str(getattr(result, "damping", None))
-                there.add((result.packing["checksum"], law, result.prestress))
+            for item in inventory(output):
+                if item.made_with != wanted:
+                    own = item.made_with or "another verb"
+                    raise InputError(
+                        f"{output}: {item.name} was made by {own}, not {wanted}; cannot be resumed"
+                    )
+                there.add((item.checksum, item.damping, item.prestress))
         return jobs, there
 
     def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, Any]]:
@@ -214,7 +214,7 @@ def _run(
     """Deal what is missing to teams, and store each result as it comes."""
     jobs = [job for job in jobs if job.missing(there)]
     run = comm.bcast(uuid4().hex)
-    made, failures = 0, []
+    made, failures, bad = 0, [], 0
     if jobs:
         size = team_size or _team_size(max(job.particles for job in jobs), len(jobs), comm, out_of_core)
         with teams(comm, min(size, comm.size)) as team:
@@ -240,16 +240,24 @@ def _run(
                     if len(jobs) == 1:
                         raise
                     failures += [str(error)] * (team.comm.rank == 0)
+                    bad += isinstance(error, InputError) and team.comm.rank == 0
     everyone = comm.allgather((made, failures))
+    if jobs and comm.allreduce(bad) == len(jobs):  # none was made: what was asked for makes no sense
+        raise InputError(next(text for _, some in everyone for text in some))
     if jobs and comm.rank == 0:
         unlock(output)
     return sum(count for count, _ in everyone), [text for _, some in everyone for text in some]
 
 
 def _jobs(
-    files: Sequence[Path], laws: Sequence[DampingLaw | None], prestress: Sequence[bool], *, together: bool
+    files: Sequence[Path],
+    laws: Sequence[DampingLaw | None],
+    prestress: Sequence[bool],
+    *,
+    together: bool,
+    tagged: bool = False,
 ) -> Iterator[Job]:
-    """Name every result: by packing and checksum, and by law and pre-stress where there are several.
+    """Name every result: by packing and checksum, if several or ``tagged`` by law and pre-stress, too.
 
     ``together`` gives the laws that one model can serve to one job.
     """
@@ -269,9 +277,11 @@ def _jobs(
             continue
         seen.add(name)
         for kept in prestress:
-            tag = (" with pre-stress" if kept else " without pre-stress") if len(prestress) > 1 else ""
+            several = tagged or len(prestress) > 1
+            tag = (" with pre-stress" if kept else " without pre-stress") if several else ""
             for alike in sets.values():
-                groups = {law: name + f" {law}" * (len(laws) > 1) + tag for law in alike}
+                named = (tagged and laws[0] is not None) or len(laws) > 1
+                groups = {law: name + f" {law}" * named + tag for law in alike}
                 yield Job(file, packing.checksum, len(packing), groups, kept)
 
 

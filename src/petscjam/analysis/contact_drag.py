@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import hyp2f1
 
-from petscjam.analysis.drag import NonlinearModulus, equivalent_time
+from petscjam.analysis.drag import NonlinearModulus, equivalent_time, unstable
 from petscjam.box import Array
 from petscjam.damping import ContactDamping, viscous_form
 from petscjam.errors import InputError, SolverError
@@ -133,6 +133,7 @@ def self_consistent_drag(
     if not found["converged"].all():
         lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
         problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
+    problem.notes += unstable(found["values"], problem.negative_modes)
     return NonlinearModulus(
         omega=omega, stress=float(stress), alpha=float(alpha), form="per contact", **found,
         errors=np.full(len(omega), np.nan), strain=strain, prestress=prestress,

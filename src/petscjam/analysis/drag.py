@@ -171,13 +171,23 @@ def equivalent_drag(
             f"to {model.span[1]:.3g}"
         )
     zeros, count = np.zeros(len(omega)), len(omega)
+    values = model(omega * tau)
     return NonlinearModulus(
-        omega=omega, values=model(omega * tau), stress=float(stress), alpha=float(alpha), form="uniform",
+        omega=omega, values=values, stress=float(stress), alpha=float(alpha), form="uniform",
         tau=tau, spread=zeros, iterations=np.zeros(count, dtype=int), converged=np.ones(count, dtype=bool),
         changes=zeros, tau_changes=zeros, residuals=model.residuals(omega * tau),
         errors=model.error(omega * tau), contact_tau=np.empty((count, 0)),
-        strain=model.strain, prestress=model.prestress, packing=model.packing, notes=model.notes,
+        strain=model.strain, prestress=model.prestress, packing=model.packing,
+        notes=(*model.notes, *unstable(values, model.negative_modes)),
     )  # fmt: skip
+
+
+def unstable(values: NDArray[np.complex128], negative_modes: int | None) -> list[str]:
+    """Return a note if the packing is no stable solid: the response to it means nothing."""
+    faults = [f"{negative_modes} negative modes"] * bool(negative_modes) + ["G' < 0"] * bool(
+        (values.real < 0).any()
+    )
+    return [f"unstable: {', '.join(faults)}"] * bool(faults)
 
 
 def check_amplitude(stress: float, alpha: float) -> None:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from petscjam.cli.laws import chosen_laws
+from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import all_packings, check_team_size, finish, say
 from petscjam.damping import DampingLaw
+from petscjam.errors import InputError
 from petscjam.parallel.comm import on_root
 
 
@@ -28,6 +29,8 @@ def modes(options: argparse.Namespace, comm: Any) -> None:
     settings = {"count": options.count, "strain": options.strain}
     if options.relaxation:
         _survey(options, comm, relaxation_modes, settings, chosen_laws(options))
+    elif law_options(options):
+        raise InputError(f"modes: {law_options(options)[0]} goes with --relaxation")
     else:
         _survey(options, comm, lowest_modes, settings)
 

@@ -7,13 +7,20 @@ from dataclasses import Field, fields
 from itertools import product
 from typing import Any
 
-from petscjam.damping import LAWS, DampingLaw
+from petscjam.damping import LAWS, ContactDamping, DampingLaw
 from petscjam.errors import InputError
 
 
 def option(item: Field) -> str:
     """Return the option of a field of a law; one that is on by default is turned off."""
     return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
+
+
+def law_options(options: argparse.Namespace) -> list[str]:
+    """Return the options of damping laws that were given another value than the default."""
+    given = ["--damping"] * (options.damping != ContactDamping.name)
+    items = {item.name: item for law in LAWS.values() for item in fields(law)}
+    return given + [option(item) for name, item in items.items() if getattr(options, name) is not None]
 
 
 def chosen_laws(options: argparse.Namespace) -> list[DampingLaw]:

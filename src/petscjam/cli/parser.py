@@ -178,7 +178,7 @@ def build_parser() -> Parser:
 
     p = add(known, "density", analyses.density, "density of states D(omega) of all modes, unit masses", RANKS)
     packings(p)
-    text = "Chebyshev moments: the resolution in omega is about 5/M of (k/m)^1/2 (default 1024)"
+    text = "Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)"
     p.add_argument("--moments", type=int, default=1024, metavar="M", help=text)
     p.add_argument("--vectors", type=int, default=16, metavar="V", help="random vectors (default 16)")
     p.add_argument("--seed", type=int, default=1, help="of the random vectors (default 1)")

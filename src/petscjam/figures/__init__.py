@@ -81,4 +81,4 @@ def make_figure(
     study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
     import_module(f"petscjam.figures.{name}").draw(study, picture)
     on_root(comm, study.write)
-    return study.findings
+    return list(comm.bcast(study.findings))

@@ -20,8 +20,8 @@ from petscjam.plots.packing import draw_packing
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
-    results = study.moduli(files, study["omega"], [ContactDamping()], fields_at=study["fields"])
+    files = study.packings(study["particles"], study.points("pressure"))
+    results = study.moduli(files, study.points("omega"), [ContactDamping()], fields_at=study.points("fields"))
     on_root(study.comm, _draw, study, study.tally(results, "G*"), picture)
 
 

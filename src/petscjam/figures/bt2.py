@@ -25,7 +25,7 @@ MOST_NEIGHBOURS = 6
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
+    files = study.packings(study["particles"], study.points("pressure"))
     packing = on_root(study.comm, import_packing, files[0])
     problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], False, study.comm)
     (q, _), _ = relax_dissipation(problem, (quasistatic(problem)[0][0], np.ones(1)))

@@ -16,16 +16,16 @@ from petscjam.damping import ContactDamping, DampingLaw
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
 from petscjam.plots.figure import given, save
+from petscjam.plots.figure import pressure_colours as coloured
 
 AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
 
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
-    results = study.moduli(files, study["omega"], [ContactDamping()], prestress=(True, False))
+    files = study.packings(study["particles"], study.points("pressure"))
+    results = study.moduli(files, study.points("omega"), [ContactDamping()], prestress=(True, False))
     on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), ContactDamping(), picture)
 
 
@@ -66,7 +66,7 @@ def exponents(study: Study, groups: Mapping[float, list[Any]], how: str, affine:
     study.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
     study.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")
     times = [[g.eta0 / g.G0 for g in some] for some in groups.values()]
-    study.exponent(f"−λ, τ* = η0/G0 ~ p^−λ, {how}", p, times, "−1", estimator="median")
+    study.exponent(f"−λ, τ* = η0/G0 ~ p^−λ (medians), {how}", p, times, "−1", estimator="median")
     for name, most_p, most_omega in (("", np.inf, affine), (", p ≤ 1e-3, ω ≤ 0.01", 1.01e-3, 0.01)):
         _collapsed(study, {x: some for x, some in groups.items() if x <= most_p}, most_omega, how + name)
     lowest = groups[p.min()]

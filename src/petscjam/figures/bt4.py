@@ -13,19 +13,19 @@ from petscjam.damping import ContactDamping
 from petscjam.figures.panels import draw_mean, errors, guide
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
 from petscjam.plots.figure import given, save
+from petscjam.plots.figure import pressure_colours as coloured
 
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    omega, betas = study["omega"], [ContactDamping(float(beta)) for beta in study["betas"]]
-    files = study.packings(study["particles"], study["pressure"])
+    omega, betas = study.points("omega"), [ContactDamping(float(beta)) for beta in study.points("betas")]
+    files = study.packings(study["particles"], study.points("pressure"))
     both = {"prestress": (True, False)}
     undamped = study.moduli(files, omega, [UNDAMPED], tag="undamped", **both)
-    centres = study.moduli(files, omega, [CENTRES], tag="centres", **both)
+    centres = study.moduli(files, omega, [CENTRES], tag="centres", prestress=(False,))
     eta0 = study.survey(files, viscosity, {}, tag="viscosity", laws=[UNDAMPED, ContactDamping()], **both)
     one = study.packings(study["particles"], [study["beta_pressure"]])
     weak = study.moduli(one, omega, betas, tag="betas")

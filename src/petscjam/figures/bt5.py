@@ -12,8 +12,8 @@ from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.figures.panels import errors
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
 from petscjam.plots.figure import given, save
+from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
 
 LOW = 1e-3  # where corrections to scaling are smaller
@@ -22,7 +22,7 @@ PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
+    files = study.packings(study["particles"], study.points("pressure"))
     results = study.survey(files, quasistatic_response, {}, prestress=(True, False))
     on_root(study.comm, _draw, study, study.tally(results, "quasi-static responses"), picture)
 

@@ -18,12 +18,12 @@ FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
-    files = study.packings(study["particles"], study["pressure"])
-    results = study.moduli(files, study["omega"], [StokesDrag()], prestress=(True, False))
+    files = study.packings(study["particles"], study.points("pressure"))
+    results = study.moduli(files, study.points("omega"), [StokesDrag()], prestress=(True, False))
     on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture, FLUID)
     one = study.packings(study["particles"], [study["fluid_pressure"]])
-    fluids = [StokesDrag(float(eta)) for eta in study["fluids"]]
-    varied = study.moduli(one, study["omega"], fluids, tag="fluids")
+    fluids = [StokesDrag(float(eta)) for eta in study.points("fluids")]
+    varied = study.moduli(one, study.points("omega"), fluids, tag="fluids")
     other = picture.with_stem(f"{picture.stem}-fluid")
     on_root(study.comm, _draw_fluids, study.tally(varied, "varying ηF"), other)
 

@@ -22,7 +22,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping, StokesDrag
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 
 
@@ -37,22 +37,37 @@ class Lengths(NamedTuple):
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     contact: dict[str, Any] = {}
-    few = {"omegas": study["contact_omega"]}
-    for n in study["sizes"]:
-        files = study.packings(n, study["contact_pressure"])
+    few = {"omegas": study.points("contact_omega")}
+    for n in study.points("sizes").astype(int).tolist():
+        files = study.packings(n, study.points("contact_pressure"))
         made = study.survey(files, correlations, few, tag=f"contact-N{n}", laws=[ContactDamping()])
         contact |= {f"{n} {name}": c for name, c in study.tally(made, f"contact damping, N = {n}").items()}
-    files = study.packings(study["particles"], study["pressure"])
-    stokes = study.survey(files, correlations, {"omegas": study["omega"]}, tag="stokes", laws=[StokesDrag()])
-    on_root(study.comm, _draw, study, contact, study.tally(stokes, "Stokes drag"), picture)
+    lanes: dict[float, dict[str, Any]] = {}
+    for width in study.points("widths").tolist():  # of the largest size
+        settings = {**few, "width": width, "bin": width / 2}
+        made = study.survey(files, correlations, settings, tag=f"lane{width:g}", laws=[ContactDamping()])
+        lanes[width] = study.tally(made, f"lanes {width:g} d high")
+    files = study.packings(study["particles"], study.points("pressure"))
+    stokes = study.survey(
+        files, correlations, {"omegas": study.points("omega")}, tag="stokes", laws=[StokesDrag()]
+    )
+    on_root(study.comm, _draw, study, contact, lanes, study.tally(stokes, "Stokes drag"), picture)
 
 
-def _draw(study: Study, contact: Mapping[str, Any], stokes: Mapping[str, Any], picture: Path) -> None:
+def _draw(
+    study: Study,
+    contact: Mapping[str, Any],
+    lanes: Mapping[float, Mapping[str, Any]],
+    stokes: Mapping[str, Any],
+    picture: Path,
+) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 9.5), layout="constrained")
     panels = figure.subplots(2, 2)
     _draw_contact(study, panels[0, 0], contact)
+    for width, some in lanes.items():
+        _note_lengths(study, correlation_length(dict(some)), f"contact damping, lanes {width:g} d high")
     groups = by_pressure(stokes)
     lengths = {p: correlation_length(dict(enumerate(some))) for p, some in groups.items()}  # type: ignore[arg-type]
     _draw_stokes(panels[0, 1], groups, lengths, float(study["shown_pressure"]))
@@ -66,18 +81,26 @@ def _draw_contact(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     for k, n in enumerate(sizes):
         some = {name: c for name, c in results.items() if c.packing["particles"] == n}
         mean = correlation_length(some)
-        L = mean.L
         for w, omega in enumerate(mean.omega):
             label = rf"N = {n}, $\omega\tau_1$ = {omega:.0e} ({len(some)})"
-            axes.plot(mean.delta / L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label)
-            found = Finding(f"contact damping, N = {n}: l/L at ω = {omega:.0e}", mean.length[w] / L,
-                            mean.error[w] / L, "about 1/4")  # fmt: skip
-            study.findings.append(found)
+            axes.plot(
+                mean.delta / mean.L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label
+            )
+        _note_lengths(study, mean, f"contact damping, N = {n}")
+        zero_stress = correlation_length(some, "imaginary")
+        _note_lengths(study, zero_stress, f"contact damping, N = {n}, at zero stress")
     axes.axhline(0, color="0.6", lw=0.8)
     pressure = next(iter(results.values())).packing["pressure"]
     axes.set(xlabel=r"$\delta/L$", ylabel="$C$", ylim=(-1, 1.02))
     axes.set_title(f"(a) contact damping, p = {pressure:.2g}; (number of packings)", fontsize=10)
     axes.legend(frameon=False, fontsize=8)
+
+
+def _note_lengths(study: Study, mean: CorrelationLength, what: str) -> None:
+    """Note where C crosses zero, at every frequency."""
+    for w, omega in enumerate(mean.omega):
+        name = f"{what}: l/L at ω = {omega:.0e}"
+        study.findings.append(Finding(name, mean.length[w] / mean.L, mean.error[w] / mean.L, "about 1/4"))
 
 
 def _draw_stokes(

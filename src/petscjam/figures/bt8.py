@@ -27,8 +27,9 @@ MARKERS = "osD^vP*X"
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     results: dict[str, Any] = {}
-    for n in study["particles"]:
-        files = study.packings(n, study["large_pressure"] if n >= study["large"] else study["pressure"])
+    pressures, fewer = study.points("pressure"), study.points("large_pressure")
+    for n in study.points("particles").astype(int).tolist():
+        files = study.packings(n, fewer if n >= study["large"] else pressures)
         made = study.survey(files, viscosity, {}, tag=f"N{n}", laws=list(LAWS), prestress=(True, False))
         results |= {f"{n} {name}": v for name, v in study.tally(made, f"η0, N = {n}").items()}
     on_root(study.comm, _draw, study, results, picture)
@@ -87,11 +88,16 @@ def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, pr
         kept = {n: {p: some for p, some in groups.items() if p <= most} for n, groups in curves.items()}
         some = []
         for n, groups in kept.items():
+            if not groups:
+                continue
             count = min(map(len, groups.values()))
+            study.tallies.append(f"Collapse, {how}, N = {n}: {count} stable packings of each pressure.")
             samples = np.array([values[:count] for values in groups.values()]).T
             some.append(Curve(np.array(list(groups)), samples, {"N": float(n)}))
         study.collapsed(how, partial(collapse, some, finite_size, {"a": 1.0}), {"a": f"{a:g}"})
-        n = max(kept)
+        n = max(kept, default=0)
+        if not kept.get(n):
+            continue
         p = np.array(list(kept[n]))
         bulk = BULK / n**2, float(p.max())
         study.exponent(f"η0 ~ p^x, {how}, N = {n}", p, list(kept[n].values()), "−1/2", bulk)

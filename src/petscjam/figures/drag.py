@@ -17,7 +17,7 @@ from petscjam.damping import ContactDamping
 from petscjam.figures.panels import guide
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 
 AFFINE = 0.05  # ωτα above which the response is no longer critical
@@ -25,12 +25,12 @@ AFFINE = 0.05  # ωτα above which the response is no longer critical
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
+    files = study.packings(study["particles"], study.points("pressure"))
     without = {"prestress": (False,)}
-    linear = study.moduli(files, study["linear_omega"], [ContactDamping()], tag="linear", **without)
+    linear = study.moduli(files, study.points("linear_omega"), [ContactDamping()], tag="linear", **without)
     contacts = {}
-    for alpha in study["alphas"]:
-        settings = {"omegas": study["omega"], "stress": study["stress"], "alpha": alpha}
+    for alpha in study.points("alphas").tolist():
+        settings = {"omegas": study.points("omega"), "stress": study["stress"], "alpha": alpha}
         contacts[alpha] = study.survey(
             files, self_consistent_drag, settings, tag=f"alpha{alpha:.3f}", **without
         )
@@ -45,7 +45,7 @@ def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any]
     for row, (alpha, results) in zip(panels, contacts.items(), strict=True):
         groups = by_pressure(results)
         uniform = {
-            p: [equivalent_drag(g.model, study["omega"], study["stress"], alpha) for g in some]
+            p: [equivalent_drag(g.model, study.points("omega"), study["stress"], alpha) for g in some]
             for p, some in by_pressure(linear).items()
         }
         colour = coloured(list(groups))
@@ -54,7 +54,7 @@ def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any]
                 _draw_mean(row[0], some, colour(p), form, f"p = {p:.2g} ({len(some)})")
             _note(study, alpha, form, found)
         _draw_ratio(row[1], uniform, groups, colour)
-        low = float(study["omega"].min())
+        low = float(study.points("omega").min())
         guide(row[0], (3 * low, 300 * low), float(abs(uniform[max(uniform)][0].values.imag).min()), alpha,
               f"slope {alpha:.2g}")  # fmt: skip
         guide(row[0], (1e-3, 1e-1), 3e-3, alpha / 2, f"slope {alpha / 2:.2g}")
@@ -102,9 +102,7 @@ def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[Non
         slopes = [_slope(g, part, choose) for g in some]
         error = np.std(slopes, ddof=1) / len(slopes) ** 0.5 if len(slopes) > 1 else np.nan
         remark = f"p = {some[0].packing['pressure']:.2g}"
-        study.findings.append(
-            Finding(f"{name}: {what}", float(np.mean(slopes)), float(error), f"{paper:.3g}", remark)
-        )
+        study.findings.append(Finding(f"{name}: {what}", float(np.mean(slopes)), float(error), paper, remark))
     p = np.array(list(groups))
     samples = [[float(g.values.imag[0]) for g in some] for some in groups.values()]
     expected = "−1/2" + f"; per contact {(1 - 3 * alpha) / 4:.3g} expected" * own

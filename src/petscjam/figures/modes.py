@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.analysis.density import density_of_states
+from petscjam.analysis.density import density_of_states, plateau
 from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
 from petscjam.box import Array, Integers
 from petscjam.figures.panels import errors
-from petscjam.figures.study import Study, by_pressure
+from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import by_pressure as coloured
+from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 from petscjam.plots.nonaffine import LABELS, STYLES
 
@@ -27,7 +27,7 @@ WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
-    files = study.packings(study["particles"], study["pressure"])
+    files = study.packings(study["particles"], study.points("pressure"))
     without = {"prestress": (False,)}
     modes = study.survey(files, rebuilt_response, {"count": study["count"]}, tag="rebuilt", **without)
     density = study.survey(files, density_of_states, {"moments": study["moments"]}, tag="density", **without)
@@ -54,7 +54,7 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
         panels[motion].axhline(1, color="0.6", lw=0.8)
     panels["nonaffine"].legend(frameon=False, fontsize=8, loc="lower right")
     _draw_needed(study, panels["needed"], groups)
-    _draw_density(panels["density"], by_pressure(density), colour)
+    _draw_density(study, panels["density"], by_pressure(density), colour)
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
     panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
     particles = {r.packing["particles"] for r in modes.values()}
@@ -100,8 +100,16 @@ def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[Rebuilt]])
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_density(axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
-    """Draw the mean density of states over packings."""
+def _draw_density(study: Study, axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
+    """Draw the mean density of states over packings; note its plateau, and the onset ω* of this."""
+    found = {p: [plateau(r) for r in some] for p, some in groups.items()}
+    known = {
+        p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()
+    }
+    study.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")
+    for p, plateaus in found.items():
+        (height,), (error,) = errors([[x.height for x in plateaus]])
+        study.findings.append(Finding(f"plateau of D(ω), p = {p:.2g}", height, error, "the same for all p"))
     for p, some in groups.items():
         omega = np.geomspace(1e-3, min(r.edge for r in some) * 0.999, 400)
         axes.loglog(omega, np.mean([r.at(omega).density for r in some], axis=0), color=colour(p), lw=1.2)

@@ -43,7 +43,7 @@ class Study:
     ----------
     name, preset : str
     parameters : dict
-        Of the preset; each must be asked for by name, or the page says it was not used.
+        Of the preset; the page says which are not known.
     folder : Path
     comm : communicator
     overwrite : bool
@@ -54,6 +54,10 @@ class Study:
     findings : list of Finding
     tallies : list of str
         How many packings there were of each kind, and how many were left out.
+    used : set of str
+        Parameters that were asked for.
+    checksums : dict
+        Of the packings.
     """
 
     name: str
@@ -67,22 +71,45 @@ class Study:
     log: Callable[[str], None] = print
     findings: list[Finding] = field(default_factory=list)
     tallies: list[str] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)
+    checksums: dict[Path, str] = field(default_factory=dict)
 
     def __getitem__(self, parameter: str) -> Any:
-        """Return a parameter; ``A:B:N`` gives points, evenly in the logarithm.
+        """Return a number, or the list of seeds.
 
         Raises
         ------
         InputError
-            If the preset lacks it, or it is no such range.
+            If the preset lacks it, or it is none.
         """
+        value = self._asked(parameter)
+        if parameter == "seeds":
+            return self._parsed(seeds, parameter, str(value))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{self.name}: {parameter} must be a number, not {value!r}")
+        return value
+
+    def points(self, parameter: str) -> Array:
+        """Return a list of numbers above 0; ``A:B:N`` stands for points, evenly in the logarithm.
+
+        Raises
+        ------
+        InputError
+            If the preset lacks it, or it is no such list.
+        """
+        value = self._asked(parameter)
+        text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+        return np.asarray(self._parsed(points, parameter, text))
+
+    def _asked(self, parameter: str) -> Any:
         if parameter not in self.parameters:
             raise InputError(f"{self.name}: the preset {self.preset} lacks {parameter}")
-        value = self.parameters[parameter]
+        self.used.add(parameter)
+        return self.parameters[parameter]
+
+    def _parsed(self, parse: Callable[[str], Any], parameter: str, text: str) -> Any:
         try:
-            if parameter == "seeds":
-                return seeds(str(value))
-            return points(value) if isinstance(value, str) else value
+            return parse(text)
         except ArgumentTypeError as error:
             raise InputError(f"{self.name}: {parameter}: {error}") from None
 
@@ -102,14 +129,17 @@ class Study:
         rows = [
             r for r in library.rows if r["particles"] in sizes and r["target"] in wanted and r["seed"] in own
         ]
-        proved = [library.folder / r["file"] for r in rows if r["proved"]]
+        proved = {library.folder / r["file"]: r["checksum"] for r in rows if r["proved"]}
+        if not proved:
+            raise InputError(f"{self.name}: no proved packing of these sizes and pressures in {folder}")
+        self.checksums |= proved
         missing = len(sizes) * len(wanted) * len(own) - len(proved)
         self.tallies.append(
             f"{len(proved)} packings: N = {', '.join(map(str, sizes))}; "
             f"p = {', '.join(f'{p:.3g}' for p in wanted)}; {len(own)} seeds. "
             f"Left out because not there or not proved minima: {missing}."
         )
-        return proved
+        return list(proved)
 
     def moduli(
         self,
@@ -148,13 +178,19 @@ class Study:
         _, failures = make(output, comm=self.comm, resume=True, progress=self.progress, log=self.log)
         if failures:
             self.tallies.append(f"{len(failures)} results failed: {'; '.join(failures)}")
-        names = {file.stem for file in files}
+        wanted = {self.checksums[file] for file in files}
         results: dict[str, Any] = {}
         on_root(self.comm, lambda: results.update(read_results(output)))  # they may be large
-        return {name: r for name, r in results.items() if r.packing["name"] in names}
+        return {name: r for name, r in results.items() if r.packing["checksum"] in wanted}
 
     def tally(self, results: Mapping[str, Any], what: str) -> dict[str, Any]:
-        """Return the stable results, and say how many were left out at each pressure."""
+        """Return the stable results, and say how many were left out at each pressure. Collective.
+
+        Raises
+        ------
+        SolverError
+            If there are results, and none is stable.
+        """
         kept = {name: r for name, r in results.items() if r.stable}
         packings: dict[str, set[str]] = {}
         lost: dict[str, set[str]] = {}
@@ -166,6 +202,8 @@ class Study:
         self.tallies.append(
             f"{what}: packings left out as unstable (G0 ≤ 0 or negative modes): {gone or 'none'}."
         )
+        if self.comm.bcast(bool(results) and not kept):
+            raise SolverError(f"{self.name}: {what}: none of {len(results)} results is stable")
         return kept
 
     def exponent(
@@ -208,15 +246,20 @@ class Study:
 
     def page(self) -> str:
         """Return what was found, as Markdown."""
-        command = f"petscjam figure {self.name} --preset {self.preset}"
+        command = f"petscjam figure {self.name} --preset {self.preset}" + " --existing" * self.existing
         lines = [f"Made by `{command}`.", ""]
+        if unknown := set(self.parameters) - self.used:
+            lines += [f"Parameters that this figure does not know: {', '.join(sorted(unknown))}.", ""]
         if self.findings:
             lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
             for f in self.findings:
                 value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
                 value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
                 lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
-            lines += ["", "± is the standard error, by bootstrap over packings.", ""]
+            how = (
+                "of exponents and collapses by bootstrap, of lengths by jackknife, of local slopes and means"
+            )
+            lines += ["", f"± is the standard error over packings: {how} from their scatter.", ""]
         lines += [f"- {tally}" for tally in self.tallies]
         lines += ["", "| parameter | |", "|---|---|"]
         lines += [f"| {key} | {value} |" for key, value in self.parameters.items()]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import Field, asdict, fields
 from os import PathLike, path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,12 @@ UNITS = {
     "bin": "length", "stress": "stress", "tau": "tau1", "contact_tau": "tau1", "stretching": "stress",
     "pre_stress": "stress",
 }  # fmt: skip
+OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
+    Modes: {"residuals": "stress", "frequencies": "(stress/mass)^1/2"},
+    Rebuilt: {"frequencies": "(stress/mass)^1/2", "medians": "length per unit strain",
+              "direct": "length per unit strain"},
+    DensityOfStates: {"omega": "(stress/mass)^1/2", "edge": "(stress/mass)^1/2"},
+}  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
 DERIVED = ("stable",)  # written for other readers, never read back
 
@@ -86,7 +92,7 @@ def append_result(
         node = h5.create_group(group)
         node.attrs["made_with"] = made_with
         for item in fields(result):
-            _write(node, item.name, getattr(result, item.name))
+            _write(node, item.name, getattr(result, item.name), OWN_UNITS.get(type(result), {}))
         for name in DERIVED:
             if hasattr(result, name):
                 node.attrs[name] = getattr(result, name)
@@ -127,10 +133,35 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
         return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}
 
 
-def settings_of(file: str | PathLike[str]) -> dict[str, str]:
-    """Return what each result of ``file`` was made with, by the name of its group."""
+class Item(NamedTuple):
+    """What a result was made of and with; ``made_with`` is empty for moduli."""
+
+    name: str
+    made_with: str
+    checksum: str
+    damping: str
+    prestress: bool
+
+
+def inventory(file: str | PathLike[str]) -> list[Item]:
+    """Return what each result of ``file`` was made of, without reading it.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or holds no results.
+    """
     with open_h5(file) as h5:
-        return {name: node.attrs.get("made_with", "") for name, node in h5.items()}
+        if h5.attrs.get("format") not in KINDS or h5.attrs.get("schema") != SCHEMA:
+            raise InputError(f"holds {h5.attrs.get('format')!r}, not results")
+        items = []
+        for name, node in h5.items():
+            law = _law(node["damping"]) if "damping" in node else node.attrs.get("damping")
+            checksum = node["packing"].attrs["checksum"]
+            items.append(
+                Item(name, node.attrs["made_with"], checksum, str(law), bool(node.attrs["prestress"]))
+            )
+        return items
 
 
 def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
@@ -240,11 +271,12 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
     return model
 
 
-def _write(node: Any, name: str, value: Any) -> None:
+def _write(node: Any, name: str, value: Any, own: Mapping[str, str] | None = None) -> None:
+    unit = {**UNITS, **(own or {})}.get(name)
     if isinstance(value, np.ndarray):
         node[name] = value
-        if name in UNITS:
-            node[name].attrs["unit"] = UNITS[name]
+        if unit:
+            node[name].attrs["unit"] = unit
     elif isinstance(value, dict):
         node.create_group(name).attrs.update(value)
     elif isinstance(value, Packing):
@@ -262,8 +294,8 @@ def _write(node: Any, name: str, value: Any) -> None:
         node.attrs[name] = "\n".join(value)
     elif value is not None:
         node.attrs[name] = value
-        if name in UNITS:
-            node.attrs[f"{name} unit"] = UNITS[name]
+        if unit:
+            node.attrs[f"{name} unit"] = unit
 
 
 def _read_model(node: Any) -> Spectrum:
@@ -296,8 +328,14 @@ def _value(node: Any, item: Field) -> Any:
         return Packing(inside["positions"][()], inside["radii"][()], cell, potential)
     if not hasattr(inside, "keys"):
         return inside[()]
-    attributes = {key: _plain(value) for key, value in inside.attrs.items()}
-    return LAWS[attributes.pop("law")](**attributes) if "law" in attributes else attributes
+    if "law" in inside.attrs:
+        return _law(inside)
+    return {key: _plain(value) for key, value in inside.attrs.items()}
+
+
+def _law(node: Any) -> DampingLaw:
+    settings = {key: _plain(value) for key, value in node.attrs.items()}
+    return LAWS[settings.pop("law")](**settings)
 
 
 def _plain(value: Any) -> Any:

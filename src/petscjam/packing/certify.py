@@ -109,7 +109,7 @@ def below_all(K: csc_array) -> float:
     shift = -_zero(K)
     while _count_below(K, shift) > 0:
         shift *= 4
-    return shift
+    return 1.2 * shift  # the count may be one below that
 
 
 def pivots_below(K: csc_array, sigma: float, room: float) -> int:

@@ -117,8 +117,8 @@ def _failing_in_words() -> Iterator[None]:
 def _solve(eps: Any, count: int, prefix: str) -> None:
     """Solve, with MUMPS LDLᵀ unless the options say otherwise.
 
-    The start does not depend on the ranks. It is real, and so is what follows: the length of a complex vector
-    in the metric of K rounds to a complex number. Where a search is exhausted it goes on at random.
+    The start is drawn by row. It is real, and so is what follows: the length of a complex vector in the
+    metric of K rounds to a complex number. Where a search is exhausted it goes on at random.
     """
     eps.setOptionsPrefix(prefix)
     eps.setDimensions(count)

@@ -17,13 +17,14 @@ from petscjam.plots.correlations import plot_correlations
 from petscjam.plots.density import plot_density
 from petscjam.plots.drag import plot_drag
 from petscjam.plots.library import fit_phi_J, fit_power, plot_library
-from petscjam.plots.modes import plot_modes
+from petscjam.plots.modes import plot_modes, plot_relaxations
 from petscjam.plots.modulus import _draw_moduli as _draw_moduli
 from petscjam.plots.modulus import plot_moduli
 from petscjam.plots.nonaffine import plot_nonaffine
 from petscjam.plots.packing import plot_packing
 from petscjam.plots.viscosity import plot_viscosity
 from petscjam.response.modes import Modes
+from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "plot_moduli",
     "plot_nonaffine",
     "plot_packing",
+    "plot_relaxations",
     "plot_results",
     "plot_viscosity",
 ]  # fmt: skip
@@ -46,6 +48,7 @@ PICTURES: dict[type, Callable[[Mapping[str, Any], str | PathLike[str]], None]] =
     QuasistaticResponse: plot_nonaffine,
     Viscosity: plot_viscosity,
     Modes: plot_modes,
+    RelaxationModes: plot_relaxations,
     DensityOfStates: plot_density,
     Correlations: plot_correlations,
     NonlinearModulus: plot_drag,
@@ -64,5 +67,5 @@ def plot_results(results: Mapping[str, Any], path: str | PathLike[str]) -> None:
         raise InputError("the file holds no results yet")
     kind = type(next(iter(results.values())))
     if kind not in PICTURES:
-        raise InputError(f"there is no picture of {kind.__name__}; export or read the numbers")
+        raise InputError(f"there is no picture of {kind.__name__}")
     PICTURES[kind](results, path)

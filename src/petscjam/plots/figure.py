@@ -41,7 +41,7 @@ def given(prestress: bool) -> str:
     return f"with{'' if prestress else 'out'} pre-stress"
 
 
-def by_pressure(pressures: Sequence[float]) -> Callable[[float], Any]:
+def pressure_colours(pressures: Sequence[float]) -> Callable[[float], Any]:
     """Return the colour of a pressure: darker where it is lower."""
     from matplotlib import colormaps
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from petscjam.plots.figure import STORAGE, UNSTABLE, save
 from petscjam.response.modes import Modes
+from petscjam.response.relaxations import RelaxationModes
 
 DRAWN = 4
 NAMED = 6  # packings, beyond which a legend says nothing
@@ -29,7 +30,12 @@ def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
     halves: Any = figure.subfigures(1, 2, width_ratios=[1.75, 1])
     left, right = halves
     name, first = next(iter(results.items()))
-    _draw_vectors(left, first)
+    titles = [
+        f"mode {k + 1}: λ = {first.eigenvalues[k]:.2e}\n"
+        f"participation {first.participation[k]:.2f}, floppiness {first.floppiness[k]:.1f}"
+        for k in range(min(DRAWN, len(first.eigenvalues)))
+    ]
+    _draw_vectors(left, first, titles)
     p = first.packing
     title = f"{p['particles']} disks, p = {p['pressure']:.3g}"
     title += f"; {'with' if first.prestress else 'without'} pre-stress"
@@ -39,7 +45,34 @@ def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
     save(figure, path)
 
 
-def _draw_vectors(figure: Any, m: Modes) -> None:
+def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLike[str]) -> None:
+    """Draw the four slowest relaxations of the first packing, and the weights of all against their times.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.6, 7.0), layout="constrained")
+    halves: Any = figure.subfigures(1, 2, width_ratios=[1.75, 1.2])
+    left, right = halves
+    first = next(iter(results.values()))
+    titles = [
+        f"τ = {tau:.3g} τ₁, weight {g:.1e} k" for tau, g in zip(first.times, first.weights, strict=True)
+    ]
+    _draw_vectors(left, first, titles)
+    left.suptitle(f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}, {first.damping}")
+    axes = right.subplots()
+    for name, r in results.items():
+        axes.loglog(r.times, r.weights, "o", ms=3, label=name if len(results) <= NAMED else None)
+    axes.set(xlabel=r"relaxation time $\tau/\tau_1$", ylabel="weight (units of $k$)")
+    axes.legend(frameon=False, fontsize=7)
+    save(figure, path)
+
+
+def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:
     """Draw modes as arrows, of the same mean length in each panel unless the longest would be too long."""
     packing, panels = m.geometry, figure.subplots(2, DRAWN // 2)
     x = packing.box.wrap(packing.positions)[m.disks]
@@ -47,18 +80,14 @@ def _draw_vectors(figure: Any, m: Modes) -> None:
     outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
     for axes in panels.flat:
         axes.set_axis_off()
-    for k, axes in zip(range(len(m.eigenvalues)), panels.flat, strict=False):
-        v, unstable = m.vectors[k], m.eigenvalues[k] < 0
+    for v, title, axes in zip(m.vectors, titles, panels.flat, strict=False):
         length = np.hypot(*v.T)
         arrows = v * spacing * min(1.6 / np.sqrt(np.mean(length**2)), 5 / length.max())
         axes.quiver(*x.T, *arrows.T, angles="xy", scale_units="xy", scale=1, width=0.0035,
-                    color=UNSTABLE if unstable else STORAGE)  # fmt: skip
+                    color=STORAGE)  # fmt: skip
         axes.plot(*outline.T, color="0.6", lw=0.8)
         axes.set_aspect("equal")
-        axes.set_title(
-            f"mode {k + 1}: λ = {m.eigenvalues[k]:.2e}\n"
-            f"participation {m.participation[k]:.2f}, floppiness {m.floppiness[k]:.1f}", fontsize=9,
-        )  # fmt: skip
+        axes.set_title(title, fontsize=9)
 
 
 def _draw_spectra(panels: Any, results: Mapping[str, Modes]) -> None:

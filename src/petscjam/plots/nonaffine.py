@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.plots.figure import LOSS, STORAGE, by_pressure, given, save
+from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, save
 
 LABELS = {
     "parallel": r"$|\Delta u^\parallel|/\gamma$",
@@ -38,7 +38,7 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     figure = Figure(figsize=(12.5, 8), layout="constrained")
     panels = figure.subplot_mosaic([["parallel", "transverse", "nonaffine"], ["scaling", "scaling", "field"]])
     stable = [r for r in results.values() if r.stable]
-    colours = by_pressure([r.packing["pressure"] for r in results.values()])
+    colours = pressure_colours([r.packing["pressure"] for r in results.values()])
     for motion in MOTIONS:
         draw_distribution(panels[motion], stable, motion, colours)
     _draw_scaling(panels["scaling"], stable)

@@ -35,7 +35,6 @@ TRIES = 3  # searches, each for what the count before says was missed
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
 ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
-INSTANT = 1e-13  # of the slowest relaxation time: no friction
 
 
 class QuasistaticParts(NamedTuple):
@@ -184,6 +183,8 @@ def lowest_modes(
     zero = abs(values) <= ZERO * stiffest
     if zero.any():
         problem.notes.append(f"modes at zero, left out of the response: {zero.sum()}")
+    if negative := int((values < -ZERO * stiffest).sum()):
+        problem.notes.append(f"not a minimum: {negative} negative modes among these")
     amplitudes = np.divide(-force, values, out=np.zeros_like(values), where=~zero)
     relative = (_rows(network, strain)[0] @ vectors.T).reshape(len(network), 2, -1)
     sliding, pressing = (relative[:, k] ** 2 for k in (1, 0))
