@@ -40,7 +40,7 @@ def contact_times(velocity: Field, alpha: float, floor: float = 0.0) -> Array:
     """Return τ_c = ⟨|v|^(α+1)⟩/⟨|v|²⟩ (C,) of velocities Re(a e^{iωt}), a = ``velocity`` (C, 2).
 
     The tip of v runs along an ellipse: |v|² = A + D cos ψ, A = (|a_n|² + |a_t|²)/2, D = |a_n² + a_t²|/2, and
-    ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²). ``floor``² times the mean of A is added to each A.
+    ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²). The square of ``floor`` times the mean of A is added.
     """
     A = (abs(velocity) ** 2).sum(1) / 2
     D = abs((velocity**2).sum(1)) / 2
