@@ -237,12 +237,12 @@ def _run(
                             log(line(name, result, time.perf_counter() - start))
                         start = time.perf_counter()
                 except (InputError, SolverError) as error:  # the same on all ranks of the team
-                    if len(jobs) == 1:
+                    if len(jobs) == 1 and not there:
                         raise
                     failures += [str(error)] * (team.comm.rank == 0)
                     bad += isinstance(error, InputError) and team.comm.rank == 0
     everyone = comm.allgather((made, failures))
-    if jobs and comm.allreduce(bad) == len(jobs):  # none was made: what was asked for makes no sense
+    if jobs and not there and comm.allreduce(bad) == len(jobs):  # what was asked for makes no sense
         raise InputError(next(text for _, some in everyone for text in some))
     if jobs and comm.rank == 0:
         unlock(output)

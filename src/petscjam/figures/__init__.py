@@ -75,6 +75,10 @@ def make_figure(
     known = on_root(comm, presets, name, file)
     if preset not in known:
         raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")
+    expected, given = set(on_root(comm, presets, name)["small"]), set(known[preset])
+    for what, keys in (("lacks", expected - given), ("has the unknown", given - expected)):
+        if keys:
+            raise InputError(f"{name}: the preset {preset} {what} {', '.join(sorted(keys))}")
     picture = folder / f"{name}.png"
     on_root(comm, folder.mkdir, parents=True, exist_ok=True)
     on_root(comm, check_output, picture, overwrite=overwrite or resume)

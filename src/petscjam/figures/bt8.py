@@ -88,7 +88,7 @@ def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, pr
         kept = {n: {p: some for p, some in groups.items() if p <= most} for n, groups in curves.items()}
         some = []
         for n, groups in kept.items():
-            if not groups:
+            if len(groups) < 2:
                 continue
             count = min(map(len, groups.values()))
             study.tallies.append(f"Collapse, {how}, N = {n}: {count} stable packings of each pressure.")

@@ -43,7 +43,7 @@ class Study:
     ----------
     name, preset : str
     parameters : dict
-        Of the preset; the page says which are not known.
+        Of the preset.
     folder : Path
     comm : communicator
     overwrite : bool
@@ -54,8 +54,6 @@ class Study:
     findings : list of Finding
     tallies : list of str
         How many packings there were of each kind, and how many were left out.
-    used : set of str
-        Parameters that were asked for.
     checksums : dict
         Of the packings.
     """
@@ -71,7 +69,6 @@ class Study:
     log: Callable[[str], None] = print
     findings: list[Finding] = field(default_factory=list)
     tallies: list[str] = field(default_factory=list)
-    used: set[str] = field(default_factory=set)
     checksums: dict[Path, str] = field(default_factory=dict)
 
     def __getitem__(self, parameter: str) -> Any:
@@ -104,7 +101,6 @@ class Study:
     def _asked(self, parameter: str) -> Any:
         if parameter not in self.parameters:
             raise InputError(f"{self.name}: the preset {self.preset} lacks {parameter}")
-        self.used.add(parameter)
         return self.parameters[parameter]
 
     def _parsed(self, parse: Callable[[str], Any], parameter: str, text: str) -> Any:
@@ -173,9 +169,12 @@ class Study:
         self, files: Sequence[Path], tag: str, make: Callable[..., tuple[int, list[str]]]
     ) -> dict[str, Any]:
         output = self.folder / f"{self.name}{tag and '-'}{tag}.h5"
-        if self.overwrite:
-            on_root(self.comm, output.unlink, missing_ok=True)
-        _, failures = make(output, comm=self.comm, resume=True, progress=self.progress, log=self.log)
+        _, failures = make(
+            output, comm=self.comm, resume=not self.overwrite, overwrite=self.overwrite,
+            progress=self.progress, log=self.log,
+        )  # fmt: skip
+        if failures and not on_root(self.comm, output.exists):
+            raise SolverError("; ".join(failures))
         if failures:
             self.tallies.append(f"{len(failures)} results failed: {'; '.join(failures)}")
         wanted = {self.checksums[file] for file in files}
@@ -248,8 +247,6 @@ class Study:
         """Return what was found, as Markdown."""
         command = f"petscjam figure {self.name} --preset {self.preset}" + " --existing" * self.existing
         lines = [f"Made by `{command}`.", ""]
-        if unknown := set(self.parameters) - self.used:
-            lines += [f"Parameters that this figure does not know: {', '.join(sorted(unknown))}.", ""]
         if self.findings:
             lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
             for f in self.findings:
