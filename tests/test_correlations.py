@@ -298,7 +298,6 @@ def test_settings_and_modulus_come_along():
     assert (c.width, c.bin) == (jammed().mean_diameter, jammed().mean_diameter / 2)
     assert c.L == jammed().box.cell[0, 0]
     np.testing.assert_array_equal(c.G, s([1e-3, 1.0]))
-    np.testing.assert_array_equal(c.length, [zero_crossing(c.delta, row) for row in c.real])
     assert len(c.delta) == len(c.pairs) == c.real.shape[1] == c.imaginary.shape[1]
 
 

@@ -41,7 +41,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     figure = Figure(figsize=(13, 10.5), layout="constrained")
     panels = figure.subplots(2, 2)
     _draw_undamped(study, panels[0], results["undamped"])
-    _draw_betas(panels[1, 0], results["weak"])
+    _draw_betas(panels[1, 0], results["weak"], results["eta0"])
     _draw_centres(study, panels[1, 1], results["centres"])
     _crossover(study, results["eta0"])
     save(figure, picture)
@@ -75,8 +75,11 @@ def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> Non
     panels[1].set_title("(a) collapse by $p^{1/2}$, no rescaling of the frequency", fontsize=10)
 
 
-def _draw_betas(axes: Any, results: Mapping[str, Any]) -> None:
-    """Draw G* at one pressure for every β, and the viscosities at both ends against β."""
+def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) -> None:
+    """Draw G* at one pressure for every β, and the viscosities at both ends against β.
+
+    η0 = η0(0) + sβ exactly, and comes from the two that were solved for: at large β the sweep ends too early.
+    """
     from matplotlib import colormaps
 
     groups: dict[float, list[Any]] = {}
@@ -84,17 +87,21 @@ def _draw_betas(axes: Any, results: Mapping[str, Any]) -> None:
         groups.setdefault(float(g.damping.split("beta=")[1].split(",")[0]), []).append(g)
     groups = dict(sorted(groups.items()))
     low, high = np.log(min(groups)), np.log(max(groups))
-    axes.set_ylim(top=1e7)
     inset = axes.inset_axes((0.1, 0.68, 0.36, 0.3))
+    inset.set(xscale="log", yscale="log", xlabel=r"$\beta$")
     for beta, some in groups.items():
         colour = colormaps["plasma"](0.85 * (np.log(beta) - low) / (high - low))
         draw_mean(axes, some, colour, f"β = {beta:.0e}")
+    axes.set_ylim(top=1e7)
     betas = np.array(list(groups))
-    for name, marker in (("eta0", "o"), ("eta_inf", "s")):
-        mean, error = errors([[getattr(g, name) for g in some] for some in groups.values()])
-        inset.errorbar(betas, mean, error, fmt=f"{marker}-", ms=3, lw=0.8,
-                       label=r"$\eta_0$" if name == "eta0" else r"$\eta_\infty$")  # fmt: skip
-    inset.set(xscale="log", yscale="log", xlabel=r"$\beta$")
+    none, full = (_by_packing(eta0, law) for law in (UNDAMPED, ContactDamping()))
+    there = {g.packing["checksum"] for g in results.values()} & set(none) & set(full)
+    low_end = [[none[key] + beta * (full[key] - none[key]) for key in there] for beta in betas]
+    high_end = [[g.eta_inf for g in some] for some in groups.values()]
+    for samples, marker, label in ((low_end, "o", r"$\eta_0$"), (high_end, "s", r"$\eta_\infty$")):
+        if not samples[0]:  # η0 was not solved for at this pressure
+            continue
+        inset.errorbar(betas, *errors(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
     inset.legend(frameon=False, fontsize=7)
     inset.tick_params(labelsize=7)
     pressure = next(iter(results.values())).packing["pressure"]
@@ -119,6 +126,11 @@ def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
     axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse", fontsize=10)
     axes.legend(frameon=False, fontsize=8)
+
+
+def _by_packing(results: Mapping[str, Any], law: ContactDamping) -> dict[str, float]:
+    """Return η0 with pre-stress by the checksum of the packing."""
+    return {v.packing["checksum"]: v.eta0 for v in results.values() if v.damping == law and v.prestress}
 
 
 def _crossover(study: Study, results: Mapping[str, Any]) -> None:
