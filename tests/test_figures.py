@@ -13,11 +13,12 @@ from petscjam.cli import main
 from petscjam.errors import InputError, SolverError
 from petscjam.figures import FIGURES, make_figure, presets
 from petscjam.figures.modes import WITHIN, enough
-from petscjam.figures.panels import draw_mean, errors, guide
+from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study, by_pressure
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
+from petscjam.plots.figure import errors
 
 RUNS = Path(__file__).parents[1] / "mpi_runs"
 COMMON = {"particles": 64, "pressure": "1e-2:1e-3:2", "seeds": "1:3"}
@@ -463,7 +464,7 @@ def test_a_collapse_that_fails_says_why(study):
 def test_the_page_rounds_and_leaves_gaps(study):
     study.exponent("good", [1e-2, 1e-3], [[1.0, 1.1], [0.1, 0.11]], "1")
     study.exponent("bad", [1e-2], [[1.0, 1.1]], "1")
-    rows, _ = table(study.page())
+    rows, _ = table(study.page("petscjam figure"))
     assert rows[0][:2] == ["good", f"1 ± {study.findings[0].error:.1g}"]
     assert rows[1][:2] == ["bad", "—"]
 

@@ -9,13 +9,15 @@ import tomllib
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petscjam.errors import InputError
-from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming
+
+if TYPE_CHECKING:
+    from petscjam.figures.study import Finding
 
 FIGURES = {
     "bt1": "G' and G'' over fourteen decades, and how the disks move",
@@ -72,6 +74,8 @@ def make_figure(
     InputError
         On an unknown figure or preset, a parameter that it does not know, an output that exists.
     """
+    from petscjam.figures.study import Study
+
     known = on_root(comm, presets, name, file)
     if preset not in known:
         raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")
@@ -84,5 +88,7 @@ def make_figure(
     on_root(comm, check_output, picture, overwrite=overwrite or resume)
     study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
     import_module(f"petscjam.figures.{name}").draw(study, picture)
-    on_root(comm, study.write)
+    command = f"petscjam figure {name} --preset {preset}"
+    command += f" --parameters {file}" * (file is not None) + " --existing" * existing
+    on_root(comm, study.write, command)
     return list(comm.bcast(study.findings))

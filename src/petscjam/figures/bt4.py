@@ -10,10 +10,10 @@ import numpy as np
 
 from petscjam.analysis.viscosity import viscosity
 from petscjam.damping import ContactDamping
-from petscjam.figures.panels import draw_mean, errors, guide
+from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import errors, given, save
 from petscjam.plots.figure import pressure_colours as coloured
 
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)

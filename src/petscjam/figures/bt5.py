@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
-from petscjam.figures.panels import errors
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import errors, given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
 

@@ -12,10 +12,9 @@ import numpy as np
 from petscjam.analysis.scaling import Curve, collapse, finite_size
 from petscjam.analysis.viscosity import viscosity
 from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
-from petscjam.figures.panels import errors
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import errors, given, save
 
 LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
 LOW = 1e-3  # pressure below which corrections to scaling are smaller

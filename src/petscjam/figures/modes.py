@@ -15,11 +15,10 @@ from petscjam.analysis.density import density_of_states, plateau
 from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
 from petscjam.box import Array, Integers
-from petscjam.figures.panels import errors
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import errors, save
 from petscjam.plots.figure import pressure_colours as coloured
-from petscjam.plots.figure import save
 from petscjam.plots.nonaffine import LABELS, STYLES
 
 WITHIN = 0.1  # of the median of the direct solve: then the modes are enough

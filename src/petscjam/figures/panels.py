@@ -40,11 +40,3 @@ def guide(axes: Any, x: tuple[float, float], y: float, slope: float, text: str) 
     axes.loglog(ends, heights, color="0.3", lw=1, ls="--")
     middle = np.sqrt(ends[0] * ends[1]), np.sqrt(heights[0] * heights[1])
     axes.annotate(text, middle, (4, -4), textcoords="offset points", fontsize=9, color="0.3", va="top")
-
-
-def errors(samples: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of each of ``samples``, and its standard error (of one: 0)."""
-    means = np.array([np.mean(some) for some in samples])
-    return means, np.array(
-        [np.std(some, ddof=1) / len(some) ** 0.5 if len(some) > 1 else 0 for some in samples]
-    )

@@ -109,29 +109,28 @@ class Study:
         except ArgumentTypeError as error:
             raise InputError(f"{self.name}: {parameter}: {error}") from None
 
-    def packings(
-        self, particles: int | Iterable[int], pressures: Iterable[float], seeds: Iterable[int] | None = None
-    ) -> list[Path]:
-        """Return the packings of these sizes and pressures, made if need be, less those not proved."""
-        sizes = [particles] if isinstance(particles, int) else list(particles)
-        wanted, own = [float(f"{p:.12g}") for p in pressures], list(seeds or self["seeds"])
+    def packings(self, particles: int, pressures: Iterable[float]) -> list[Path]:
+        """Return the packings of this size and these pressures, made if need be, less those not proved."""
+        wanted, own = [float(f"{p:.12g}") for p in pressures], self["seeds"]
         folder = self.folder / "packings"
         if self.existing:
             library = on_root(self.comm, read_library, folder)
         else:
             library = prepare_library(
-                folder, sizes, wanted, own, comm=self.comm, resume=True, progress=self.progress
+                folder, [particles], wanted, own, comm=self.comm, resume=True, progress=self.progress
             )
         rows = [
-            r for r in library.rows if r["particles"] in sizes and r["target"] in wanted and r["seed"] in own
+            r
+            for r in library.rows
+            if r["particles"] == particles and r["target"] in wanted and r["seed"] in own
         ]
         proved = {library.folder / r["file"]: r["checksum"] for r in rows if r["proved"]}
         if not proved:
-            raise InputError(f"{self.name}: no proved packing of these sizes and pressures in {folder}")
+            raise InputError(f"{self.name}: no proved packing of {particles} disks in {folder}")
         self.checksums |= proved
-        missing = len(sizes) * len(wanted) * len(own) - len(proved)
+        missing = len(wanted) * len(own) - len(proved)
         self.tallies.append(
-            f"{len(proved)} packings: N = {', '.join(map(str, sizes))}; "
+            f"{len(proved)} packings: N = {particles}; "
             f"p = {', '.join(f'{p:.3g}' for p in wanted)}; {len(own)} seeds. "
             f"Left out because not there or not proved minima: {missing}."
         )
@@ -243,9 +242,8 @@ class Study:
             self.findings.append(Finding(f"{name}: {key}", value, found.errors[key], paper[key], remark))
         return found
 
-    def page(self) -> str:
-        """Return what was found, as Markdown."""
-        command = f"petscjam figure {self.name} --preset {self.preset}" + " --existing" * self.existing
+    def page(self, command: str) -> str:
+        """Return what was found by ``command``, as Markdown."""
         lines = [f"Made by `{command}`.", ""]
         if self.findings:
             lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
@@ -262,9 +260,9 @@ class Study:
         lines += [f"| {key} | {value} |" for key, value in self.parameters.items()]
         return "\n".join([*lines, ""])
 
-    def write(self) -> None:
+    def write(self, command: str) -> None:
         """Write the page."""
-        write_atomically(self.folder / f"{self.name}.md", self.page().encode())
+        write_atomically(self.folder / f"{self.name}.md", self.page(command).encode())
 
 
 def by_pressure(results: Mapping[str, Any], **same: Any) -> dict[float, list[Any]]:

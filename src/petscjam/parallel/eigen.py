@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from petscjam.box import Array
 from petscjam.errors import SolverError
 from petscjam.parallel.comm import total
+from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
 
 TOLERANCE = 1e-10
@@ -149,7 +150,7 @@ def _real_pairs(A: Any, metric: Any, eps: Any, count: int, *, largest: bool) -> 
     vector.destroy()
     V = np.stack(columns, axis=1)
     for _ in range(2):  # the second time takes off what the first rounds
-        sizes, rotation = np.linalg.eigh(total(comm, V.T @ apply_real(metric, V)))
+        sizes, rotation = np.linalg.eigh(total(comm, V.T @ _metric(metric, V)))
         kept = sizes > NEW * sizes[-1]
         V = V @ (rotation[:, kept] / np.sqrt(sizes[kept]))
     if V.shape[1] < count:
@@ -160,26 +161,14 @@ def _real_pairs(A: Any, metric: Any, eps: Any, count: int, *, largest: bool) -> 
     wanted = np.arange(len(values))[:: -1 if largest else 1][:count]
     values, rotation = values[wanted], rotation[:, wanted]
     V, AV = V @ rotation, AV @ rotation
-    MV = apply_real(metric, V)
+    MV = _metric(metric, V)
     left, size = total(comm, np.stack([((AV - MV * values) ** 2).sum(0), (MV**2).sum(0)])) ** 0.5
     return Pairs(values, V, left / size)
 
 
-def apply_real(matrix: Any, columns: Array) -> Array:
-    """Return the real ``matrix`` (None: 1) times real columns, two at a time."""
-    if matrix is None:
-        return columns
-    out = np.empty_like(columns)
-    x, y = matrix.createVecs()
-    with destroying(x, y):
-        for first in range(0, columns.shape[1], 2):
-            pair = columns[:, first : first + 2]
-            x.array[:] = pair[:, 0] + 1j * pair[:, -1]
-            matrix.mult(x, y)
-            out[:, first] = y.array.real
-            if pair.shape[1] == 2:
-                out[:, first + 1] = y.array.imag
-    return out
+def _metric(metric: Any, V: Array) -> Array:
+    """Return ``metric`` (None: 1) times V."""
+    return V if metric is None else apply_real(metric, V)
 
 
 def _vector(matrix: Any, values: NDArray) -> Any:

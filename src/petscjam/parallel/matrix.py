@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.parallel.petsc import petsc
+from petscjam.parallel.petsc import destroying, petsc
 
 
 def symmetric_matrix(indptr: NDArray, indices: NDArray, values: NDArray, size: int, comm: Any) -> Any:
@@ -22,3 +23,18 @@ def symmetric_matrix(indptr: NDArray, indices: NDArray, values: NDArray, size: i
     matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
     matrix.setOption(PETSc.Mat.Option.HERMITIAN, False)
     return matrix
+
+
+def apply_real(matrix: Any, columns: NDArray) -> NDArray:
+    """Return ``matrix`` times local rows of real columns (n, m), two at a time, for it is real."""
+    out = np.empty_like(columns)
+    x, y = matrix.createVecs()
+    with destroying(x, y):
+        for first in range(0, columns.shape[1], 2):
+            pair = columns[:, first : first + 2]
+            x.array[:] = pair[:, 0] + 1j * pair[:, -1]
+            matrix.mult(x, y)
+            out[:, first] = y.array.real
+            if pair.shape[1] == 2:
+                out[:, first + 1] = y.array.imag
+    return out

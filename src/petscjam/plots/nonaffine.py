@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, save
+from petscjam.plots.figure import LOSS, STORAGE, errors, given, pressure_colours, save
 
 LABELS = {
     "parallel": r"$|\Delta u^\parallel|/\gamma$",
@@ -80,9 +80,7 @@ def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
             medians = [[np.median(r.sizes(motion)) for r in group] for group in some.values()]
             if not medians:
                 continue
-            centre = [np.mean(m) for m in medians]
-            error = [np.std(m, ddof=1) / np.sqrt(len(m)) if len(m) > 1 else 0 for m in medians]
-            axes.errorbar(list(some), centre, error, fmt=marker, color=colour,
+            axes.errorbar(list(some), *errors(medians), fmt=marker, color=colour,
                           mfc=colour if prestress else "white", ms=6,
                           label=f"median {LABELS[motion]}, {given(prestress)}")  # fmt: skip
             means = [np.mean([r.sizes(motion).mean() for r in group]) for group in some.values()]

@@ -8,7 +8,7 @@ from os import PathLike
 import numpy as np
 
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import errors, given, save
 
 
 def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) -> None:
@@ -30,10 +30,9 @@ def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) 
             curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
     for (law, n, prestress), curve in sorted(curves.items()):
         p = np.array(sorted(curve))
-        mean = np.array([np.mean(curve[x]) for x in p])
-        error = np.array([np.std(curve[x], ddof=1) / len(curve[x]) ** 0.5 if curve[x][1:] else 0 for x in p])
-        axes.errorbar(p, mean, error, fmt="o-" if prestress else "s--", mfc=None if prestress else "white",
-                      ms=5, lw=1, label=f"{law}, N = {n}, {given(prestress)}")  # fmt: skip
+        axes.errorbar(p, *errors([curve[x] for x in p]), fmt="o-" if prestress else "s--",
+                      mfc=None if prestress else "white", ms=5, lw=1,
+                      label=f"{law}, N = {n}, {given(prestress)}")  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
     left_out = sum(not r.stable for r in results.values())
     axes.set_title(f"{len(results)} results, {left_out} unstable left out", fontsize=10)

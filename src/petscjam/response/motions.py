@@ -16,6 +16,7 @@ from petscjam.box import Array
 from petscjam.errors import SolverError
 from petscjam.kinematics import Motion
 from petscjam.parallel.comm import total
+from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.solver import DirectSolver
 from petscjam.response.dofs import connected, free_motions, sees
 from petscjam.response.limits import LARGEST_RESIDUAL
@@ -92,7 +93,7 @@ class Motions:
     def extend(self, vectors: list[Array]) -> list[Array]:
         """Add what is new in ``vectors`` as motions; return each form times these, (n, new)."""
         fresh = self._orthonormal(vectors)
-        products = [self.apply_real(matrix, fresh) for matrix in self.pencil.matrices]
+        products = [apply_real(matrix, fresh) for matrix in self.pencil.matrices]
         for k, (product, force) in enumerate(zip(products, self.forces, strict=True)):
             across = np.vstack([self.dot(force, fresh), self.on_motions(product)])
             own = self.dot(fresh, product)
@@ -134,17 +135,6 @@ class Motions:
         x.array[:] = z
         matrix.mult(x, y)
         return y.array.copy()
-
-    def apply_real(self, matrix: Any, columns: Array) -> Array:
-        """Return ``matrix`` times real columns, two at a time: all matrices are real."""
-        out = np.empty_like(columns)
-        for first in range(0, columns.shape[1], 2):
-            pair = columns[:, first : first + 2]
-            product = self.apply(matrix, pair[:, 0] + 1j * pair[:, -1])
-            out[:, first] = product.real
-            if pair.shape[1] == 2:
-                out[:, first + 1] = product.imag
-        return out
 
     def combine(self, y: Complex) -> Complex:
         """Return Σ_m y_m times the motions without strain."""
