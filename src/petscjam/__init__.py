@@ -46,10 +46,12 @@ _WHERE = {
     "read_moduli": "io.results",
 }
 
-__all__ = list(_WHERE)
+__all__ = [*_WHERE, "md"]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "md":
+        return import_module("petscjam.md")
     if name not in _WHERE:
         raise AttributeError(f"module 'petscjam' has no attribute {name!r}")
     return getattr(import_module(f"petscjam.{_WHERE[name]}"), name)

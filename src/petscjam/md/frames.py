@@ -1,0 +1,58 @@
+"""Frames of a sheared run for OVITO: one extended XYZ file a moment, which OVITO opens as one animation."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from petscjam.md.fields import local_maps
+from petscjam.md.state import POTENTIAL, State
+from petscjam.storage import naming, write_atomically
+
+SYMBOLS = "H", "He", "Li", "Be"  # species by size; still larger ones are of the last
+# OVITO knows the first five by these names, as Particle Type, Position, Radius, Velocity and Angular
+# Velocity; the others become properties of their own.
+COLUMNS = "species:S:1:pos:R:3:radius:R:1:velo:R:3:omega:R:3:peculiar:R:1:local_phi:R:1:local_rate:R:1"
+
+
+def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
+    """Write ``state`` as frame ``index`` into ``folder``, which is made if need be, and return the file.
+
+    Open any of them in OVITO and it finds the others: ``frame_*.xyz``. The cell is tilted by the strain
+    modulo 1. Beside velocities (of the images in the cell) and spins each disk has the size of its peculiar
+    velocity, v − γ̇ y x̂, and the packing fraction and the strain rate around it
+    (:func:`petscjam.md.fields.local_maps`); strain, rate and time are attributes of the frame. Units: ds, m,
+    τe. :func:`petscjam.import_packing` reads a frame, too.
+
+    Raises
+    ------
+    InputError
+        If the folder or the file cannot be written.
+    """
+    path = Path(folder) / f"frame_{index:06d}.xyz"
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, frame(state))
+    return path
+
+
+def frame(state: State) -> bytes:
+    """Return ``state`` as extended XYZ with the columns :data:`COLUMNS`."""
+    moved = state.wrapped()
+    cell, nothing = state.box.cell, np.zeros(len(state))
+    species = np.minimum(np.unique(state.radii, return_inverse=True)[1], len(SYMBOLS) - 1)
+    values = np.column_stack([
+        state.box.wrap(moved.positions), nothing, state.radii, moved.velocities, nothing, nothing, nothing,
+        state.spins, np.hypot(*state.peculiar.T), *local_maps(state),
+    ])  # fmt: skip
+    (ax, ay), (bx, by) = cell.tolist()
+    row = " ".join(["%.12g"] * 4 + ["%.7g"] * (values.shape[1] - 4))
+    lines = [
+        str(len(state)),
+        f'Lattice="{ax!r} {ay!r} 0 {bx!r} {by!r} 0 0 0 {2 * state.radii.max()!r}" Properties={COLUMNS} '
+        f'pbc="T T F" Time={state.time!r} strain={state.strain!r} rate={state.rate!r} potential={POTENTIAL}',
+        *(f"{SYMBOLS[s]} {row % tuple(some)}" for s, some in zip(species, values.tolist(), strict=True)),
+    ]
+    return "\n".join([*lines, ""]).encode()

@@ -1,0 +1,481 @@
+"""The hot loops of the disk MD, compiled by numba: forces, two integrators, sums, and contact events.
+
+Units are ds, m, τe. With the surface speed w = Rθ̇ as the rotational variable, both disks of a contact feel
+the same torque term: with arms R r/σ (VOT eq. 6), ẇ = 2 (r/σ) ft/m on either, whatever its radius.
+
+Axes: i, j disks of pair c; columns of q: x, y, vx, vy, w; columns of F: the forces on these velocities.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from petscjam.box import Array
+from petscjam.md.neighbours import CHUNK
+
+BATCH = 128
+BINS = 100
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
+HEUN, SINGLE = 0, 1
+SUMS = 14
+(EXX, EXY, EYY, DXX, DXY, DYX, DYY, TOUCHING, HEAT, KXX, KXY, KYY, WORK, JUMPS) = range(SUMS)
+
+
+class Law(NamedTuple):
+    """A model as the kernel sees it. No exponent means 2: with a power the loop does not vectorise."""
+
+    normal: float
+    tangential: float
+    rolls: float
+    exponent: float | None
+    body: float
+    spin_drag: float
+
+
+class Disks(NamedTuple):
+    """Disks sorted in space: now, predicted, forces, radii, masses, and places at the last build."""
+
+    q: Array
+    p: Array
+    F: Array
+    R: Array
+    m: Array
+    home: Array
+
+
+class Events(NamedTuple):
+    """Contact events of each run, and of the rest: made, broken, steps touched; angles of both."""
+
+    counts: NDArray[np.int64]
+    angles: NDArray[np.int64]
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent):
+    """Return elastic force over distance, damping force on i, and 1 if they touch.
+
+    r and u are position and velocity of j against i, u at the contact point if the law rolls.
+    """
+    near = 1.0 / np.sqrt(rx * rx + ry * ry)
+    overlap = 1.0 - (rx * rx + ry * ry) * near * inverse
+    touch = 1.0 if overlap > 0.0 else 0.0
+    overlap *= touch
+    spring = overlap if exponent is None else overlap ** (exponent - 1.0)
+    along = (normal - tangential) * (ux * rx + uy * ry) * near * near
+    gx = touch * (tangential * ux + along * rx)
+    gy = touch * (tangential * uy + along * ry)
+    return spring * inverse * near, gx, gy, touch
+
+
+@njit(cache=True, error_model="numpy")
+def _event(c, rx, ry, vx, vy, pairs, step, counts, angles):
+    """Book that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
+    angle = np.arctan2(vx * ry - vy * rx, vx * rx + vy * ry)  # the signs of rji and vji cancel
+    bin = min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
+    if pairs.touching[c]:
+        counts[1] += 1
+        counts[2] += step - pairs.since[c]
+        angles[1, bin] += 1
+        pairs.touching[c] = 0
+    else:
+        counts[0] += 1
+        angles[0, bin] += 1
+        pairs.touching[c] = 1
+        pairs.since[c] = step
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _add_run(run, q, F, pairs, law, measure, step, sums, events):
+    """Add the pairs of a run, in batches: in scratch arrays, overwritten, the main loop vectorises."""
+    X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
+    normal, tangential, rolls, exponent = law.normal, law.tangential, law.rolls, law.exponent
+    exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
+    for start in range(pairs.runs[run], pairs.runs[run + 1], BATCH):
+        n = min(BATCH, pairs.runs[run + 1] - start)
+        i, j = pairs.i[start : start + n], pairs.j[start : start + n]
+        inverse, touching = pairs.inverse[start : start + n], pairs.touching[start : start + n]
+        for c in range(n):
+            a, b = i[c], j[c]
+            X[c], Y[c] = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
+            U[c], V[c] = q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
+            W[c] = q[a, 4] + q[b, 4]
+        if measure:
+            for c in range(n):
+                x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
+                ux, uy = U[c] + turn * y, V[c] - turn * x
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent)
+                X[c], Y[c] = gx - spring * x, gy - spring * y
+                U[c], V[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx), touch
+                exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
+                dxx, dxy, dyx, dyy = dxx - gx * x, dxy - gx * y, dyx - gy * x, dyy - gy * y
+                count, heat = count + touch, heat + gx * ux + gy * uy
+            changed = 0
+            for c in range(n):
+                changed |= np.uint8(V[c]) ^ touching[c]
+            if changed:
+                for c in range(n):
+                    if V[c] != touching[c]:
+                        a, b = i[c], j[c]
+                        place, (dx, dy) = start + c, (q[b, 0] - q[a, 0], q[b, 1] - q[a, 1])
+                        dvx, dvy = q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
+                        counts, angles = events.counts[run], events.angles[run]
+                        _event(place, dx, dy, dvx, dvy, pairs, step, counts, angles)
+        else:
+            for c in range(n):
+                x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
+                ux, uy = U[c] + turn * y, V[c] - turn * x
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent)
+                X[c], Y[c] = gx - spring * x, gy - spring * y
+                U[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx)
+        for c in range(n):
+            a, b = i[c], j[c]
+            fx, fy, torque = X[c], Y[c], U[c]
+            F[a, 0] += fx
+            F[a, 1] += fy
+            F[a, 2] += torque
+            F[b, 0] -= fx
+            F[b, 1] -= fy
+            F[b, 2] += torque
+    sums[run, EXX], sums[run, EXY], sums[run, EYY] = exx, exy, eyy
+    sums[run, DXX], sums[run, DXY], sums[run, DYX], sums[run, DYY] = dxx, dxy, dyx, dyy
+    sums[run, TOUCHING], sums[run, HEAT] = count, heat
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _add_rest(q, F, pairs, law, L, strain, rate, measure, step, sums, events):
+    """Add the pairs that join two runs, or a disk and an image."""
+    sums[-1] = 0.0
+    first = pairs.runs[-1]
+    for k in range(len(pairs.nx)):
+        c = first + k
+        a, b, inverse = pairs.i[c], pairs.j[c], pairs.inverse[c]
+        x = q[b, 0] - q[a, 0] + (pairs.nx[k] + pairs.ny[k] * strain) * L
+        y = q[b, 1] - q[a, 1] + pairs.ny[k] * L
+        vx, vy = q[b, 2] - q[a, 2] + pairs.ny[k] * rate * L, q[b, 3] - q[a, 3]
+        turn = law.rolls * (q[a, 4] + q[b, 4]) * inverse
+        ux, uy = vx + turn * y, vy - turn * x
+        spring, gx, gy, touch = _contact(x, y, ux, uy, inverse, law.normal, law.tangential, law.exponent)
+        X, Y, T = gx - spring * x, gy - spring * y, 2.0 * law.rolls * inverse * (x * gy - y * gx)
+        F[a, 0] += X
+        F[a, 1] += Y
+        F[a, 2] += T
+        F[b, 0] -= X
+        F[b, 1] -= Y
+        F[b, 2] += T
+        if measure:
+            sums[-1, EXX] += spring * x * x
+            sums[-1, EXY] += spring * x * y
+            sums[-1, EYY] += spring * y * y
+            sums[-1, DXX] -= gx * x
+            sums[-1, DXY] -= gx * y
+            sums[-1, DYX] -= gy * x
+            sums[-1, DYY] -= gy * y
+            sums[-1, TOUCHING] += touch
+            sums[-1, HEAT] += gx * ux + gy * uy
+            if touch != pairs.touching[c]:
+                _event(c, x, y, vx, vy, pairs, step, events.counts[-1], events.angles[-1])
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _drag(run, q, F, R, law, rate, sums):
+    """Add Stokes drag: −ζ(v − γ̇ y x̂) on a disk, −ζr(θ̇ + γ̇/2) on its rotation."""
+    heat = 0.0
+    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+        cx, cy, spin = q[a, 2] - rate * q[a, 1], q[a, 3], q[a, 4] / R[a]
+        F[a, 0] -= law.body * cx
+        F[a, 1] -= law.body * cy
+        F[a, 2] -= 2.0 * law.spin_drag * (spin + 0.5 * rate) / R[a]
+        heat += law.body * (cx * cx + cy * cy) + law.spin_drag * (spin + 0.5 * rate) * spin
+    sums[run, HEAT] += heat
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _kinetic(run, q, m, rate, sums):
+    """Sum the products of peculiar velocities (VOT eq. 14)."""
+    xx = xy = yy = 0.0
+    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+        x, y = q[a, 2] - rate * q[a, 1], q[a, 3]
+        xx, xy, yy = xx + m[a] * x * x, xy + m[a] * x * y, yy + m[a] * y * y
+    sums[run, KXX], sums[run, KXY], sums[run, KYY] = xx, xy, yy
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _predict(run, disks, dt, scheme, shear, room):
+    """Predict where disks go (VOT eqs. 21, 22, or to second order); return how many leave their room.
+
+    ``shear`` is the strain since the list was built.
+    """
+    q, p, F, m, home = disks.q, disks.p, disks.F, disks.m, disks.home
+    half = 0.5 * dt * dt if scheme == SINGLE else 0.0
+    left = 0
+    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+        X, Y = F[a, 0] / m[a], F[a, 1] / m[a]
+        x, y = q[a, 0] + dt * q[a, 2] + half * X, q[a, 1] + dt * q[a, 3] + half * Y
+        p[a, 0], p[a, 1] = x, y
+        p[a, 2], p[a, 3] = q[a, 2] + dt * X, q[a, 3] + dt * Y
+        p[a, 4] = q[a, 4] + dt * F[a, 2] / m[a]
+        dx, dy = x - shear * y - home[a, 0], y - home[a, 1]
+        left += dx * dx + dy * dy > room * room
+    return left
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _correct(run, disks, dt, scheme):
+    """Average both forces. HEUN: F is their sum (VOT eqs. 23, 24). SINGLE: (v + v̂)/2 holds half of one."""
+    q, p, F, m = disks.q, disks.p, disks.F, disks.m
+    first, last = run * CHUNK, min((run + 1) * CHUNK, len(q))
+    if scheme == HEUN:
+        for a in range(first, last):
+            h = 0.5 * dt / m[a]
+            vx, vy = q[a, 2] + h * F[a, 0], q[a, 3] + h * F[a, 1]
+            q[a, 0] += 0.5 * dt * (q[a, 2] + vx)
+            q[a, 1] += 0.5 * dt * (q[a, 3] + vy)
+            q[a, 2], q[a, 3] = vx, vy
+            q[a, 4] += h * F[a, 2]
+            F[a, 0] = F[a, 1] = F[a, 2] = 0.0
+    else:
+        for a in range(first, last):
+            h = 0.5 * dt / m[a]
+            q[a, 0], q[a, 1] = p[a, 0], p[a, 1]
+            q[a, 2] = 0.5 * (q[a, 2] + p[a, 2]) + h * F[a, 0]
+            q[a, 3] = 0.5 * (q[a, 3] + p[a, 3]) + h * F[a, 1]
+            q[a, 4] = 0.5 * (q[a, 4] + p[a, 4]) + h * F[a, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def jump(q, m, old, new, bulk):
+    """Change the strain rate at once; return the change of the peculiar kinetic and rotational energy.
+
+    ``bulk``: 0 changes nothing but the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the
+    change of the linear profile.
+    """
+    gain = 0.0
+    factor = new / old if bulk == 1 else 1.0
+    for a in range(len(q)):
+        x, y, w = q[a, 2] - old * q[a, 1], q[a, 3], q[a, 4]
+        gain -= m[a] * (0.5 * (x * x + y * y) + 0.25 * w * w)
+        q[a, 2] *= factor
+        q[a, 3] *= factor
+        q[a, 4] *= factor
+        if bulk == 2:
+            q[a, 2] += (new - old) * q[a, 1]
+        x, y, w = q[a, 2] - new * q[a, 1], q[a, 3], q[a, 4]
+        gain += m[a] * (0.5 * (x * x + y * y) + 0.25 * w * w)
+    return gain
+
+
+@njit(cache=True, error_model="numpy")
+def _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events):
+    """Add the forces inside a run."""
+    _add_run(run, q, F, pairs, law, measure, step, sums, events)
+    if law.body != 0.0 or law.spin_drag != 0.0:
+        _drag(run, q, F, disks.R, law, rate, sums)
+    if measure:
+        _kinetic(run, q, disks.m, rate, sums)
+
+
+@njit(cache=True)
+def _force_runs(q, F, disks, pairs, law, rate, measure, step, sums, events):
+    for run in range(len(pairs.runs) - 1):
+        _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events)
+
+
+@njit(cache=True, parallel=True)
+def _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, events):
+    for run in prange(len(pairs.runs) - 1):
+        _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events)
+
+
+@njit(cache=True)
+def _predict_runs(disks, dt, scheme, shear, room, left):
+    for run in range(len(left)):
+        left[run] = _predict(run, disks, dt, scheme, shear, room)
+
+
+@njit(cache=True, parallel=True)
+def _predict_runs_threaded(disks, dt, scheme, shear, room, left):
+    for run in prange(len(left)):
+        left[run] = _predict(run, disks, dt, scheme, shear, room)
+
+
+@njit(cache=True)
+def _correct_runs(disks, dt, scheme, runs):
+    for run in range(runs):
+        _correct(run, disks, dt, scheme)
+
+
+@njit(cache=True, parallel=True)
+def _correct_runs_threaded(disks, dt, scheme, runs):
+    for run in prange(runs):
+        _correct(run, disks, dt, scheme)
+
+
+@njit(cache=True, error_model="numpy")
+def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, step, sums, events):
+    """Add all forces on disks at ``q`` to ``F``.
+
+    With ``measure``, sums over pairs and disks go to ``sums`` (one row a run, the last for the rest), and
+    contacts that begin or cease to touch to ``events``.
+    """
+    if threads:
+        _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, events)
+    else:
+        _force_runs(q, F, disks, pairs, law, rate, measure, step, sums, events)
+    _add_rest(q, F, pairs, law, L, strain, rate, measure, step, sums, events)
+
+
+@njit(cache=True, error_model="numpy")
+def book(sums, rate, total, weight):
+    """Add the sums of all runs, and the power of the shear stress, to ``total``."""
+    shear = 0.0
+    for name in range(WORK):
+        value = sums[:, name].sum()
+        total[name] += weight * value
+        if name in (EXY, DXY, KXY):
+            shear += value
+    total[WORK] -= weight * rate * shear
+
+
+@njit(cache=True, error_model="numpy")
+def advance(
+    disks, pairs, law, L, dt, scheme, strains, rates, bulk, built, skin, threads, step, sums, events, total
+):
+    """Make steps as long as the list of pairs holds.
+
+    Parameters
+    ----------
+    strains : (K + 1,)
+        At the beginnings of steps, and at the end of the last.
+    rates : (K + 1,)
+        Before the first step, and in each. ``bulk`` says what a change does (:func:`jump`).
+    built, skin : float
+        Strain at which the list was built, and its skin.
+    step : int
+        Number of the first step.
+    total : (SUMS,)
+        Gets the sums of each step: at its beginning (HEUN) or end (SINGLE).
+
+    Returns
+    -------
+    int
+        Steps made: less than K if a new list is needed first.
+    """
+    q, p, F = disks.q, disks.p, disks.F
+    runs = len(pairs.runs) - 1
+    left = np.zeros(runs, np.int64)
+    reach = 2.0 * disks.R.max()
+    F[:] = 0.0
+    fresh = True
+    for k in range(len(rates) - 1):
+        rate = rates[k + 1]
+        if rate != rates[k]:
+            total[JUMPS] += jump(q, disks.m, rates[k], rate, bulk)
+            rates[k] = rate
+            F[:] = 0.0
+            fresh = True
+        if scheme == HEUN or fresh:
+            forces(
+                q, F, disks, pairs, law, L, strains[k], rate, threads, scheme == HEUN, step + k, sums, events
+            )
+            fresh = False
+        shear = strains[k + 1] - built
+        room = 0.5 * (skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
+        if threads:
+            _predict_runs_threaded(disks, dt, scheme, shear, max(room, 0.0), left)
+        else:
+            _predict_runs(disks, dt, scheme, shear, max(room, 0.0), left)
+        if room <= 0.0 or left.sum() > 0:
+            return k
+        if scheme == HEUN:
+            book(sums, rate, total, 1.0)
+        else:
+            F[:] = 0.0
+        last = scheme == SINGLE
+        forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, step + k + 1, sums, events)
+        if last:
+            book(sums, rate, total, 1.0)
+        if threads:
+            _correct_runs_threaded(disks, dt, scheme, runs)
+        else:
+            _correct_runs(disks, dt, scheme, runs)
+    return len(rates) - 1
+
+
+@njit(cache=True, error_model="numpy")
+def elastic_energy(q, pairs, exponent, L, strain):
+    """Energy Σ (1 − r/σ)^α/α of the contacts (VOT eq. 1)."""
+    energy, rest = 0.0, pairs.runs[-1]
+    for c in range(len(pairs.i)):
+        a, b = pairs.i[c], pairs.j[c]
+        x, y = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
+        if c >= rest:
+            x += (pairs.nx[c - rest] + pairs.ny[c - rest] * strain) * L
+            y += pairs.ny[c - rest] * L
+        overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
+        if overlap > 0.0:
+            energy += overlap**exponent / exponent
+    return energy
+
+
+@njit(cache=True, error_model="numpy")
+def observe(q, R, pairs, L, strain, rate, pick, layers, moments, scatter):
+    """Look at every disk and contact once.
+
+    Parameters
+    ----------
+    pick : int
+        The contact whose velocities go to ``scatter`` (4,), modulo their number.
+    layers : (3, M)
+        Gets disks, their vx and their area by layer in y.
+    moments : (5, 4)
+        Gets the sums of V_T, V^R, V^C_T, V_N over contacts, then those of their products.
+
+    Returns
+    -------
+    sums : (7,)
+        Over disks: θ̇, θ̇², δvx², vy² (VOT eqs. 29, 35, 36); over contacts: vN², vT², and their number.
+    """
+    sums, v = np.zeros(7), np.zeros(4)
+    for a in range(len(q)):
+        spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / L)
+        y, vx = q[a, 1] - row * L, q[a, 2] - row * rate * L
+        sums[0] += spin
+        sums[1] += spin * spin
+        sums[2] += (vx - rate * y) ** 2
+        sums[3] += q[a, 3] ** 2
+        layer = min(int(y / L * layers.shape[1]), layers.shape[1] - 1)
+        layers[0, layer] += 1.0
+        layers[1, layer] += vx
+        layers[2, layer] += np.pi * R[a] ** 2
+    touching = 0
+    for c in range(len(pairs.i)):
+        touching += pairs.touching[c]
+    chosen, rest = pick % max(touching, 1), pairs.runs[-1]
+    for c in range(len(pairs.i)):
+        if pairs.touching[c]:
+            a, b = pairs.i[c], pairs.j[c]
+            x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[a, 2] - q[b, 2], q[a, 3] - q[b, 3]
+            if c >= rest:
+                x += (pairs.nx[c - rest] + pairs.ny[c - rest] * strain) * L
+                y += pairs.ny[c - rest] * L
+                vx -= pairs.ny[c - rest] * rate * L
+            r = np.sqrt(x * x + y * y)
+            v[0] = (vy * x - vx * y) / r
+            v[1] = (q[a, 4] + q[b, 4]) * r * pairs.inverse[c]
+            v[2] = v[0] + v[1]
+            v[3] = (vx * x + vy * y) / r
+            sums[4] += v[3] ** 2
+            sums[5] += v[0] ** 2
+            if rate != 0.0:
+                v /= rate
+                moments[0] += v
+                for k in range(4):
+                    moments[k + 1] += v[k] * v
+                if sums[6] == chosen:
+                    scatter[:] = v
+            sums[6] += 1.0
+    return sums

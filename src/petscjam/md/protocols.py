@@ -1,0 +1,119 @@
+"""Histories of the strain rate, as data: γ̇ of each step, how long, and what a change does to the disks.
+
+Axes: k step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import isfinite, log10
+from typing import Any
+
+import numpy as np
+
+from petscjam.box import Array
+from petscjam.errors import InputError
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A strain-rate history.
+
+    Attributes
+    ----------
+    name : str
+    rates : callable
+        γ̇ in 1/τe at times (K,) in τe from the start.
+    duration : float
+        In τe.
+    bulk : str
+        What a change of the rate does: ``scale``, ``profile`` or ``boundary``
+        (:meth:`petscjam.md.simulation.Simulation.advance`).
+    settings : dict
+        What it was made of.
+    """
+
+    name: str
+    rates: Callable[[Array], Array]
+    duration: float
+    bulk: str
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def steady(rate: float, strain: float) -> Protocol:
+    """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0)."""
+    _check("rate", rate, rate != 0, "a number other than 0")
+    _check("strain", strain, strain > 0, "above 0")
+    return Protocol(
+        "steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), "scale", {"rate": rate}
+    )
+
+
+def ramp(rate: float, to: float, kappa: float) -> Protocol:
+    """Raise γ̇ from ``rate`` by a factor 10^κ̃ every τe up to ``to``, and lower it again (VOT eqs. 38–41).
+
+    A lower ``to`` ramps down first. Velocities and spins are scaled with the rate.
+    """
+    for name, value in (("rate", rate), ("to", to), ("kappa", kappa)):
+        _check(name, value, value > 0, "above 0")
+    if rate == to:
+        raise InputError(f"ramp: it begins and turns at the same strain rate, {rate!r}")
+    updates = int(np.ceil(abs(log10(to / rate)) / kappa))
+    sign = 1 if to > rate else -1
+
+    def rates(t: Array) -> Array:
+        done = np.floor(t)
+        exponent = np.where(done < updates, done, 2 * updates - 1 - done)
+        return rate * 10.0 ** (sign * kappa * exponent)
+
+    return Protocol("ramp", rates, 2.0 * updates, "scale", {"rate": rate, "to": to, "kappa": kappa})
+
+
+def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale") -> Protocol:
+    """Shear at each of ``rates`` to the strain beside it; at a rate of 0 that is a time in τe instead.
+
+    A step of the strain rate, or, with a last rate of 0, the cessation of shear.
+    """
+    if len(rates) != len(strains) or len(rates) == 0:
+        raise InputError(f"shear: {len(rates)} strain rates but {len(strains)} strains")
+    for strain in strains:
+        _check("strain", strain, strain > 0, "above 0")
+    times = [strain / abs(rate) if rate else strain for rate, strain in zip(rates, strains, strict=True)]
+    ends, values = np.cumsum(times), np.array(rates, dtype=float)
+    if bulk == "scale" and (values == 0).any():
+        bulk = "profile"
+    settings = {
+        "rate": float(rates[0]),
+        "rates": list(map(float, rates)),
+        "strains": list(map(float, strains)),
+    }
+    return Protocol(
+        "steps", lambda t: values[np.minimum(np.searchsorted(ends, t, side="right"), len(values) - 1)],
+        float(ends[-1]), bulk, settings,
+    )  # fmt: skip
+
+
+def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
+    """Shear as γ = γ0 sin ωt; the disks follow the linear profile of the moment.
+
+    Parameters
+    ----------
+    amplitude : float
+        γ0.
+    omega : float
+        ω in 1/τe.
+    cycles : float
+    """
+    for name, value in (("amplitude", amplitude), ("omega", omega), ("cycles", cycles)):
+        _check(name, value, value > 0, "above 0")
+    settings = {"rate": amplitude * omega, "amplitude": amplitude, "omega": omega, "cycles": cycles}
+    duration = 2 * np.pi * cycles / omega
+    return Protocol(
+        "oscillation", lambda t: amplitude * omega * np.cos(omega * t), duration, "profile", settings
+    )
+
+
+def _check(name: str, value: float, good: bool, what: str) -> None:
+    if not (isfinite(value) and good):
+        raise InputError(f"shear: {name} must be {what}, not {value!r}")

@@ -1,0 +1,202 @@
+"""Shear disks: along a steady flow, a ramp of the strain rate, or any protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.damping import DampingLaw
+from petscjam.errors import InputError
+from petscjam.md import protocols
+from petscjam.md.book import Book
+from petscjam.md.model import Model
+from petscjam.md.model import model as model_of
+from petscjam.md.protocols import Protocol
+from petscjam.md.result import Run, read_run
+from petscjam.md.simulation import Simulation
+from petscjam.md.starts import Start, first_state
+from petscjam.progress import Report
+from petscjam.storage import check_output, open_h5, release
+
+ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
+OWN = ("threads", "version", "strain", "strains", "cycles")  # settings that a resumed run may change
+
+
+def shear(
+    model: str | DampingLaw = "CD_rot", n: int | None = None, phi: float | None = None, Q: float = 1.0,
+    rate: float = 1e-4, strain: float = 10.0, seed: int = 1, dt: float | None = None,
+    start: Start = None,
+    output: str | PathLike[str] | None = None, **options: Any,
+) -> Run:  # fmt: skip
+    """Shear disks at a steady rate (VOT sec. II).
+
+    Parameters
+    ----------
+    model : str or DampingLaw
+        ``CD``, ``CD_rot``, ``CD_n``, or a law of the linear response, as ``ContactDamping(beta=0.3)``.
+    n : int
+        Number of disks, even, half of diameter 1, half of 1.4; left out, 1024 or that of ``start``.
+    phi : float
+        Packing fraction; left out, 0.82 or that of ``start``.
+    Q : float
+        Elasticity of collisions, above 0 (VOT eq. 9).
+    rate : float
+        γ̇ in 1/τe.
+    strain : float
+        To shear by.
+    seed : int
+        Of the random start.
+    dt : float
+        Time step in τe; left out, 0.05, or less where that would not be stable.
+    start : State, Run, Packing or path
+        Where to start from; left out, from random positions, let part, on the linear profile. Velocities and
+        spins of a run are scaled to the new rate (VOT eqs. 40, 41). History matters: it is recorded.
+    output : path
+        File of the run (HDF5), whole at every moment.
+    **options
+        As for :func:`run`: integrator, threads, exponent, drag, spin_drag, row_time, resume, overwrite,
+        progress, frames.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    InputError
+        If a number makes no sense, or the output cannot be written or resumed.
+    SolverError
+        If the disks fly apart.
+    """
+    return run(
+        protocols.steady(rate, strain),
+        model,
+        n,
+        phi,
+        Q,
+        seed=seed,
+        dt=dt,
+        start=start,
+        output=output,
+        **options,
+    )
+
+
+def ramp(
+    model: str | DampingLaw = "CD_rot", n: int | None = None, phi: float | None = None, Q: float = 1.0,
+    rate: float = 1e-6, to: float = 1e-3, kappa: float = 1e-5, seed: int = 1, dt: float | None = None,
+    start: Start = None,
+    output: str | PathLike[str] | None = None, **options: Any,
+) -> Run:  # fmt: skip
+    """Raise the strain rate from ``rate`` to ``to`` by 10^κ̃ every τe, and lower it again (VOT sec. III D).
+
+    Each row averages over 10³ τe. ``rate`` and ``to`` are in 1/τe, ``kappa`` is κ̃; the other parameters are
+    those of :func:`shear`.
+    """
+    protocol = protocols.ramp(rate, to, kappa)
+    options.setdefault("row_time", 1e3)
+    return run(protocol, model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options)
+
+
+def run(
+    protocol: Protocol, model: str | DampingLaw, n: int | None = None, phi: float | None = None,
+    Q: float = 1.0, *, seed: int = 1, dt: float | None = None, start: Start = None,
+    output: str | PathLike[str] | None = None, integrator: str = "heun", threads: int = 1,
+    exponent: float = 2.0, drag: float = 0.0, spin_drag: float = 0.0, row_time: float | None = None,
+    resume: bool = False, overwrite: bool = False, frames: int = 0,
+    progress: Report | None = None,
+) -> Run:  # fmt: skip
+    """Shear disks along any protocol.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        As ``steady(1e-4, 10)`` of :mod:`petscjam.md.protocols`.
+    integrator : str
+        ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces a step, a smaller largest dt).
+    threads : int
+        They pay from ten thousand disks on; results do not depend on them.
+    exponent : float
+        α of the repulsion (VOT eq. 1).
+    drag, spin_drag : float
+        Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
+    row_time : float
+        τe between two rows of the time series; left out, a thousandth of the run.
+    resume : bool
+        Go on where ``output`` ends, bit for bit as if it had not been stopped. A longer run goes on from its
+        end.
+    overwrite : bool
+        Replace ``output``.
+    frames : int
+        So many snapshots on the way, evenly spaced, in the folder OUTPUT.frames
+        (:func:`petscjam.md.frames.write_frame`).
+    progress : callable
+        See :mod:`petscjam.progress`.
+
+    The other parameters are those of :func:`shear`.
+    """
+    law = model_of(model, Q, exponent=exponent, drag=drag, spin_drag=spin_drag)
+    dt = law.step(dt, integrator)
+    _check_threads(threads)
+    total = max(round(protocol.duration / dt), 1)
+    row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
+    settings = {
+        "model": law.name, "law": str(law.law), "Q": float(Q), "exponent": float(exponent),
+        "drag": float(drag), "spin_drag": float(spin_drag),
+        "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
+        "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
+        "version": release("petscjam"),
+    }  # fmt: skip
+    if output is not None and resume and Path(output).exists():
+        book, simulation = _resumed(output, settings, law, n, phi, seed)
+    else:
+        if output is not None:
+            check_output(output, overwrite=overwrite)
+        first, origin = first_state(start, n, phi, seed, law, protocol)
+        settings.update(
+            particles=len(first),
+            phi=first.phi,
+            seed=seed,
+            start=origin,
+            strain0=first.strain,
+            time0=first.time,
+        )
+        simulation = Simulation(first, law, dt, integrator, threads)
+        book = Book(settings, simulation)
+    if threads > 1:
+        import numba
+
+        numba.set_num_threads(threads)
+    return book.fill(simulation, protocol, total, output, frames, progress)
+
+
+def _check_threads(threads: int) -> None:
+    from numba import config
+
+    most: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    if not 1 <= threads <= most:
+        raise InputError(f"shear: threads must be from 1 to {most} (NUMBA_NUM_THREADS), not {threads!r}")
+
+
+def _resumed(
+    output: str | PathLike[str], settings: Mapping[str, Any], model: Model, n: int | None,
+    phi: float | None, seed: int,
+) -> tuple[Book, Simulation]:  # fmt: skip
+    """Return the book and the simulation of a file, if it was made with these settings."""
+    with open_h5(output) as h5:
+        run, saved = read_run(h5), {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
+    asked = {**settings, "particles": n, "phi": phi, "seed": seed}
+    for name, value in asked.items():
+        there: Any = run.settings.get(name)
+        if value is None or name in OWN:
+            continue
+        if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):
+            raise InputError(f"{output}: was made with {name} = {there}, not {value}; it cannot be resumed")
+    simulation = Simulation.restored(
+        saved, model, settings["dt"], settings["integrator"], settings["threads"]
+    )
+    return Book.reopened(run, saved, simulation), simulation

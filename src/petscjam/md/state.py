@@ -1,0 +1,133 @@
+"""Where the disks are and how they move at one moment, in a square cell with Lees–Edwards boundaries.
+
+The images of a disk at (x, y) with velocity (vx, vy) are at (x + mL + nγL, y + nL) with (vx + nγ̇L, vy).
+
+Axes: i disk, x Cartesian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Integral
+
+import numpy as np
+
+from petscjam.box import Array, Box, frozen
+from petscjam.errors import InputError
+from petscjam.packing.packing import Packing
+
+RATIO = 1.4
+POTENTIAL = "harmonic-relative"  # VOT eq. 1 with α = 2
+DENSEST = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Positions and velocities of disks. Units: ds, m, τe.
+
+    Parameters
+    ----------
+    positions : (N, 2)
+        Any periodic image will do, if the velocity is that of the same image.
+    velocities : (N, 2)
+        In the laboratory; a linear profile has vx = γ̇ y.
+    spins : (N,)
+        Angular velocities θ̇.
+    radii : (N,)
+    length : float
+        Edge L of the cell.
+    strain, rate, time : float
+        γ, γ̇ and t.
+
+    Raises
+    ------
+    InputError
+        On wrong shapes, values that are not finite, a radius that is not positive.
+    """
+
+    positions: Array
+    velocities: Array
+    spins: Array
+    radii: Array
+    length: float
+    strain: float = 0.0
+    rate: float = 0.0
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.radii))
+        for name, shape in (("positions", (n, 2)), ("velocities", (n, 2)), ("spins", (n,)), ("radii", (n,))):
+            values = frozen(getattr(self, name))
+            if values.shape != shape:
+                raise InputError(f"state: {name} must have shape {shape}, not {values.shape}")
+            bad = ~np.isfinite(values) if name != "radii" else ~((values > 0) & np.isfinite(values))
+            if bad.any():
+                i = int(np.argwhere(bad)[0, 0])
+                raise InputError(f"state: {name} of disk {i}: {values[i]}")
+            object.__setattr__(self, name, values)
+        for name in ("length", "strain", "rate", "time"):
+            value = float(getattr(self, name))
+            if not np.isfinite(value) or (name == "length" and value <= 0):
+                raise InputError(f"state: {name} is {value}")
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+    @property
+    def phi(self) -> float:
+        """Packing fraction (VOT eq. 11)."""
+        return float(np.pi * (self.radii**2).sum() / self.length**2)
+
+    @property
+    def box(self) -> Box:
+        """The sheared cell, tilted by γ modulo 1, at most by a half."""
+        tilt = self.strain - np.rint(self.strain)
+        return Box(self.length * np.array([[1.0, 0.0], [tilt, 1.0]]))
+
+    @property
+    def peculiar(self) -> Array:
+        """Velocities against the linear profile, v − γ̇ y x̂, shape (N, 2)."""
+        c = self.velocities.copy()
+        c[:, 0] -= self.rate * self.positions[:, 1]
+        return c
+
+    def wrapped(self) -> State:
+        """Return the same state by the images inside the square 0 ≤ x, y < L."""
+        x, v, L = self.positions.copy(), self.velocities.copy(), self.length
+        rows = np.floor(x[:, 1] / L)
+        x[:, 1] -= rows * L
+        x[:, 0] -= rows * self.strain * L
+        v[:, 0] -= rows * self.rate * L
+        x[:, 0] -= np.floor(x[:, 0] / L) * L
+        return State(x, v, self.spins, self.radii, L, self.strain, self.rate, self.time)
+
+    def packing(self) -> Packing:
+        """Return positions, radii and cell as a :class:`petscjam.Packing`, as they are: not minimised."""
+        return Packing(self.positions, self.radii, self.box, POTENTIAL)
+
+
+def radii(n: int) -> Array:
+    """Return the radii of VOT: half of the disks of diameter 1, half of 1.4."""
+    if not isinstance(n, Integral) or n < 16 or n % 2:
+        raise InputError(f"shear: the number of disks must be even and at least 16, not {n!r}")
+    return np.where(np.arange(n) < n // 2, 0.5, 0.5 * RATIO)
+
+
+def cell_length(sizes: Array, phi: float) -> float:
+    """Return the edge L at which ``sizes`` (radii) have packing fraction ``phi`` (VOT eq. 11)."""
+    if not 0 < phi <= DENSEST:
+        raise InputError(
+            f"shear: the packing fraction phi must be above 0 and at most {DENSEST}, not {phi!r}"
+        )
+    return float(np.sqrt(np.pi * (sizes**2).sum() / phi))
+
+
+def random_state(n: int, phi: float, seed: int) -> State:
+    """Return disks at rest, at random positions: they overlap."""
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"shear: the seed must be a whole number, 0 or more, not {seed!r}")
+    sizes = radii(n)
+    L = cell_length(sizes, phi)
+    x = np.random.default_rng(seed).random((n, 2)) * L
+    return State(x, np.zeros((n, 2)), np.zeros(n), sizes, L)
