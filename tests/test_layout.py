@@ -27,7 +27,7 @@ PIPELINE = [
     "md",
     "io",
     "ensemble",
-    "reference",
+    "reference reference_md",
     "report",
     "plots",
     "figures",

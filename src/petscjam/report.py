@@ -13,6 +13,7 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
+from petscjam.md.result import Run
 from petscjam.network import ContactNetwork
 from petscjam.packing.library import Library
 from petscjam.packing.packing import Packing
@@ -92,6 +93,58 @@ def describe_library(library: Library) -> str:
             f"{f'{sum(time):.1f}' if time else '—':>9}"
         )
     lines.append("phi ± standard error; Z, rattlers: means; unstable: against shear in some direction")
+    return "\n".join(lines)
+
+
+MEANS = {
+    "P elastic": "pressure_elastic", "Σ elastic": "stress_elastic", "P": "pressure", "Σ": "stress",
+    "μ": "friction", "ηp": "pressure_viscosity", "ησ": "viscosity", "Bp": "pressure_bagnold",
+    "Bσ": "bagnold", "Z": "contacts", "Rv": "banding",
+}  # fmt: skip
+
+
+def describe_run(run: Run) -> str:
+    """Return a few lines on a sheared run: settings, means with their errors, contacts, energy budget."""
+    s, rows = run.settings, run.rows
+    lines = [
+        "units: ds, m, tau_e; means ± standard errors leave out the first quarter",
+        f"{s['model']}, {s['particles']} disks, phi = {s['phi']:.6g}, Q = {s['Q']:g}; {s['protocol']}, "
+        f"dt = {s['dt']:.4g}, {s['integrator']}; start: {s['start']}",
+        f"strain {s['strain0']:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
+        f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
+    ]  # fmt: skip
+    kept = run.after()
+    if kept.sum() > 1:
+        for name, what in MEANS.items():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                mean = run.mean(what)
+            lines.append(f"{name:12s} {mean.value:.4g} ± {mean.error:.1g}")
+        spin = run.mean(rows["spin"] / np.where(run.rate == 0, np.nan, run.rate))
+        lines.append(f"{'<spin>/rate':12s} {spin.value:.4g} ± {spin.error:.1g}")
+        elapsed = np.diff(run.time, prepend=s["time0"])[kept].sum()
+        broken, made = rows["broken"][kept].sum(), rows["made"][kept].sum()
+        if broken:
+            duration, often = rows["duration"][kept].sum() / broken, made / (elapsed * s["particles"])
+            lines.append(
+                f"contacts last {duration:.4g} and {often:.4g} a disk are made per tau_e: 2 × both = "
+                f"{2 * duration * often:.4g} (Z, but for those that outlast the run)"
+            )
+    heat, missed = rows["heat"].sum(), rows["imbalance"].sum()
+    lines.append(f"energy budget: {heat:.4g} dissipated, {missed:.1e} unaccounted for")
+    return "\n".join(lines)
+
+
+def describe_runs(runs: Mapping[str, Run]) -> str:
+    """Return a table of sheared runs, a line each."""
+    width = max(len(name) for name in runs)
+    columns = ["P elastic", "Σ elastic", "μ", "Z", "Rv"]
+    head = " ".join([f"{'run':{width}}", f"{'strain':>8}", *(f"{name:>20}" for name in columns)])
+    lines = ["units: ds, m, tau_e; means ± standard errors leave out the first quarter", head]
+    for name, run in runs.items():
+        means = [run.mean(MEANS[column]) if run.after().sum() > 1 else None for column in columns]
+        values = [f"{m.value:.4g} ± {m.error:.1g}" if m else "too short" for m in means]
+        row = [f"{name:{width}}", f"{run.strain[-1]:8.4g}", *(f"{value:>20}" for value in values)]
+        lines.append(" ".join(row))
     return "\n".join(lines)
 
 

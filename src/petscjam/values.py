@@ -87,3 +87,30 @@ def frequencies(text: str) -> Any:
     if ":" in text and omega[-1] < omega[0]:
         raise argparse.ArgumentTypeError(f"the range {text} is empty")
     return omega
+
+
+def evenly(text: str) -> list[float]:
+    """Parse ``A,B,…`` or ``A:B:N``, evenly, both ends counted."""
+    if ":" not in text:
+        return [number(part) for part in text.split(",")]
+    first, last, count = triple(text)
+    if count != int(count) or not 2 <= count <= MOST:
+        raise argparse.ArgumentTypeError(f"{text!r}: a range A:B:N has from 2 to {MOST} points")
+    step = (last - first) / (count - 1)
+    return [float(f"{first + k * step:.12g}") for k in range(int(count))]
+
+
+def triple(text: str) -> tuple[float, float, float]:
+    """Parse ``A:B:C``."""
+    values = [number(part) for part in text.split(":")]
+    if len(values) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r} is not A:B:C")
+    return values[0], values[1], values[2]
+
+
+def pairs(text: str) -> list[tuple[float, float]]:
+    """Parse ``A:B,C:D,…``."""
+    found = [[number(part) for part in one.split(":")] for one in text.split(",")]
+    if any(len(one) != 2 for one in found):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list A:B,…")
+    return [(a, b) for a, b in found]

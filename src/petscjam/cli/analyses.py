@@ -108,7 +108,7 @@ def _survey(
     start(comm)
     with progress(options.verb, show=comm.rank == 0) as report:
         made, failures = survey(
-            on_root(comm, all_packings, options.packings), options.output, analyse, settings, laws=laws,
+            on_root(comm, all_packings, options), options.output, analyse, settings, laws=laws,
             prestress=options.prestress, comm=comm, team_size=options.team_size, resume=options.resume,
             overwrite=options.overwrite, progress=report, log=lambda line: print(line, flush=True),
         )  # fmt: skip

@@ -8,17 +8,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
-from petscjam.cli import analyses, verbs
+from petscjam.cli import analyses, shearing, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
 from petscjam.damping import LAWS
 from petscjam.errors import InputError
 from petscjam.figures import FIGURES
 from petscjam.kinematics import STRAINS
+from petscjam.md.model import BULK, INTEGRATORS, MODELS
 from petscjam.packing.prepare import BUDGET, METHODS
 from petscjam.potential import POTENTIALS
 from petscjam.storage import release
-from petscjam.values import frequencies, number, numbers, points, seeds, whole
+from petscjam.values import evenly, frequencies, number, numbers, pairs, points, seeds, triple, whole
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -85,7 +86,12 @@ def build_parser() -> Parser:
                         "line counts more")  # fmt: skip
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
-    p = add(known, "info", verbs.info, "say what a packing, a result or a folder of packings holds")
+    p = add(
+        known,
+        "info",
+        verbs.info,
+        "say what a packing, a result, a sheared run, or a folder of packings or of runs holds",
+    )
     p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
 
     p = add(known, "import", verbs.import_, "turn another program's packing into ours (no rescaling)")
@@ -100,14 +106,15 @@ def build_parser() -> Parser:
     p.add_argument("--shear-stabilised", action="store_true", help="of --relax: as for prepare")
     output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
 
-    p = add(known, "export", verbs.export, "write a packing, or a modulus, for other programs")
+    p = add(known, "export", verbs.export, "write a packing, a modulus or a sheared run for other programs")
     p.add_argument("file", type=Path, metavar="FILE")
     p.add_argument(
         "--to",
         metavar="FORMAT",
         help="of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and "
         "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
-        "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); default xyz or csv",
+        "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), "
+        "lammps (a folder with the input of the same disks); default xyz or csv",
     )
     p.add_argument(
         "--group",
@@ -131,6 +138,8 @@ def build_parser() -> Parser:
         metavar="RANGE",
         help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
     )
+    p.add_argument("--strain", type=number, default=1.0, metavar="X",
+                   help="lammps: how far its input shears (default 1)")  # fmt: skip
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
@@ -229,6 +238,29 @@ def build_parser() -> Parser:
     team_size(p)
     output(p, "OUT.h5", "eta0 and G0, one group a packing and law")
 
+    text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
+    p = add(known, "shear", shearing.shear, text, RANKS)
+    p.add_argument("--rate", type=numbers, metavar="X,…",
+                   help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)")  # fmt: skip
+    p.add_argument("--strain", type=number, metavar="X", help="to shear by (default 10)")
+    p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…",
+                   help="go on at other strain rates; 0:TIME is rest, for a time in tau_e")  # fmt: skip
+    p.add_argument("--bulk", choices=BULK, default="scale",
+                   help="what a change of the strain rate does at once: scale velocities and spins, add the "
+                        "change of the linear profile, or move the edge alone (default scale)")  # fmt: skip
+    p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES",
+                   help="shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e")  # fmt: skip
+    disks(p)
+
+    text = "raise the strain rate step by step, and lower it again (VOT eqs. 38-41)"
+    p = add(known, "ramp", shearing.ramp, text, RANKS)
+    p.add_argument("--rate", type=numbers, metavar="X,…", help="first strain rate, in 1/tau_e (default 1e-6)")
+    p.add_argument("--to", type=number, default=1e-3, metavar="X",
+                   help="strain rate at which it turns, in 1/tau_e (default 1e-3)")  # fmt: skip
+    p.add_argument("--kappa", type=number, default=1e-5, metavar="X",
+                   help="decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)")  # fmt: skip
+    disks(p)
+
     listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
     p = add(
         known, "figure", analyses.figure, "draw a figure of Baumgarten & Tighe 2017 from packings on", RANKS
@@ -244,8 +276,13 @@ def build_parser() -> Parser:
     text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 
-    p = add(known, "plot", verbs.plot, "draw a packing, a folder of packings, or a file of results")
+    text = (
+        "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
+    )
+    p = add(known, "plot", verbs.plot, text)
     p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
+    text = "of a sheared run: packing fraction and strain rate around each disk at its end (VOT fig. 27)"
+    p.add_argument("--maps", action="store_true", help=text)
     output(p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)",
            required=False, resume=False)  # fmt: skip
     return parser
@@ -254,6 +291,45 @@ def build_parser() -> Parser:
 def packings(p: Parser) -> None:
     """Add the packings to work on."""
     p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
+
+
+def disks(p: Parser) -> None:
+    """Add what is sheared, and how it is integrated."""
+    p.add_argument("--model", type=lambda text: text.split(","), metavar="NAME,…",
+                   help=f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below",
+                   )  # fmt: skip
+    damping(p)
+    p.add_argument("--particles", type=whole, metavar="N,…", help="numbers of disks, even (default 1024)")
+    p.add_argument("--phi", type=evenly, metavar="X,…",
+                   help="packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)")  # fmt: skip
+    p.add_argument("--Q", type=numbers, default="1", metavar="X,…",
+                   help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
+                   )  # fmt: skip
+    either = p.add_mutually_exclusive_group()
+    either.add_argument("--seed", type=int, help="seed of the random start (default 1)")
+    either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds: A to B, both counted")
+    p.add_argument("--start", type=Path, metavar="FILE",
+                   help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
+                        "(export --to lammps), not at random")  # fmt: skip
+    p.add_argument("--integrator", choices=INTEGRATORS, default="heun",
+                   help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
+                   )  # fmt: skip
+    p.add_argument("--dt", type=number, metavar="X",
+                   help="time step in tau_e (default 0.05, or 2/3 of the largest stable one)")  # fmt: skip
+    p.add_argument("--exponent", type=number, default=2.0, metavar="X",
+                   help="of the repulsion V ~ overlap^X (default 2)")  # fmt: skip
+    p.add_argument("--drag", type=number, default=0.0, metavar="X",
+                   help="Stokes drag on disks, in m/tau_e (default 0)")  # fmt: skip
+    p.add_argument("--spin-drag", type=number, default=0.0, metavar="X",
+                   help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)")  # fmt: skip
+    p.add_argument("--threads", type=int, default=1, metavar="T",
+                   help="of a run; they pay from 10000 disks on (default 1)")  # fmt: skip
+    p.add_argument("--row-time", type=number, metavar="X",
+                   help="tau_e between rows of the time series (default a thousandth of the run; ramp: 1000)",
+                   )  # fmt: skip
+    p.add_argument("--frames", type=int, default=0, metavar="K",
+                   help="snapshots for OVITO, in the folder OUT.frames (default 0)")  # fmt: skip
+    output(p, "RUN.h5", "the run, or a folder for several")
 
 
 def damping(p: Parser) -> None:

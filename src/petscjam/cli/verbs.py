@@ -97,11 +97,15 @@ def info(options: argparse.Namespace, comm: Any) -> None:
     def text() -> str:
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result, read_results
+        from petscjam.md.result import is_run, read, read_folder
         from petscjam.packing.library import read_library
-        from petscjam.report import describe_library, describe_packing, table
+        from petscjam.report import describe_library, describe_packing, describe_run, describe_runs, table
 
         if options.file.is_dir():
-            return describe_library(read_library(options.file))
+            runs = read_folder(options.file)
+            return describe_runs(runs) if runs else describe_library(read_library(options.file))
+        if is_run(options.file):
+            return describe_run(read(options.file))
         if is_result(options.file):
             return table(read_results(options.file))
         return describe_packing(import_packing(options.file))
@@ -154,8 +158,12 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.io.results import is_result
         from petscjam.io.rheology import FORMATS as CURVES
         from petscjam.io.rheology import export_rheology
+        from petscjam.md.result import is_run
         from petscjam.storage import check_output, naming
 
+        if is_run(options.file):
+            print(_export_run(options))
+            return
         curve = is_result(options.file)
         known, kind = (CURVES, "result") if curve else (PICTURES, "packing")
         fmt = options.to or ("csv" if curve else "xyz")
@@ -183,6 +191,26 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         print(target)
 
     on_root(comm, work)
+
+
+def _export_run(options: argparse.Namespace) -> Path:
+    from petscjam.io.lammps_shear import write_lammps
+    from petscjam.md.model import model_of
+    from petscjam.md.result import export_csv, read
+
+    fmt = options.to or "csv"
+    target: Path = options.output or options.file.with_suffix(f".{fmt}")
+    run = read(options.file)
+    if fmt == "csv":
+        export_csv(run, target, overwrite=options.overwrite)
+    elif fmt == "lammps":
+        write_lammps(
+            run.state, model_of(run.settings), target, rate=run.state.rate, strain=options.strain,
+            dt=run.settings["dt"], overwrite=options.overwrite,
+        )  # fmt: skip
+    else:
+        raise InputError(f"export: {options.file} is a sheared run; its formats are csv, lammps, not {fmt}")
+    return target
 
 
 def _matching(options: argparse.Namespace) -> dict[str, Any]:
@@ -216,12 +244,61 @@ def packings_of(given: Path) -> list[Path]:
     return [file for file in sorted(given.glob("*.h5")) if not is_result(file)] if given.is_dir() else [given]
 
 
-def all_packings(given: list[Path]) -> list[Path]:
-    """Return the packings of all files and folders that are ``given``; refuse if there are none."""
-    found = [file for one in given for file in packings_of(one)]
+def all_packings(options: argparse.Namespace) -> list[Path]:
+    """Return the packings of all files and folders that are given; refuse if there are none.
+
+    For a sheared run there is that of its last state, quenched next to the output.
+    """
+    from petscjam.md.result import is_run
+
+    found = [file for one in options.packings for file in packings_of(one)]
     if not found:
-        raise InputError(f"{given[0]}: no packings in this folder")
-    return found
+        raise InputError(f"{options.packings[0]}: no packings in this folder")
+    runs = {file: options.output.with_name(f"{file.stem}.quenched.h5") for file in found if is_run(file)}
+    if runs:
+        quenched = _quench(runs, options)
+        found = [runs.get(file, file) for file in found if file in quenched or file not in runs]
+    return list(dict.fromkeys(found))
+
+
+def _quench(runs: dict[Path, Path], options: argparse.Namespace) -> set[Path]:
+    """Quench the last state of each run into its file, unless that holds it already; return which could be.
+
+    A run that fails stops no other, as long as there is one that does not.
+    """
+    from petscjam.md.quench import quench, snapshot
+    from petscjam.md.result import read
+    from petscjam.packing.packing import Packing
+    from petscjam.storage import check_output, naming
+
+    check_output(options.output, overwrite=options.overwrite or options.resume, inputs=runs)
+    if len(set(runs.values())) < len(runs):
+        names = "".join(f"\n  {run}" for run in runs)
+        raise InputError(f"{options.output}: runs of one name would be quenched into one file there:{names}")
+    starts = {}
+    for run, target in runs.items():
+        with naming(run):
+            start = snapshot(read(run))
+        if target.exists() and Packing.read(target).provenance.get("quenched") == start.checksum:
+            print(f"{run}: quenched already: {target}", flush=True)
+        else:
+            check_output(target, overwrite=options.overwrite, inputs=[options.output])
+            starts[run] = start
+    failures: dict[Path, Exception] = {}
+    for run, start in starts.items():
+        try:
+            with naming(run):
+                packing = quench(start)
+        except (InputError, SolverError) as error:
+            failures[run] = error
+            continue
+        packing.write(runs[run], overwrite=True)
+        print(f"{run}: quenched: {runs[run]} ({_in_short(packing)})", flush=True)
+    if len(failures) == len(runs):
+        raise next(iter(failures.values()))
+    for failure in failures.values():
+        print(f"petscjam: warning: left out: {failure}", file=sys.stderr, flush=True)
+    return set(runs) - set(failures)
 
 
 def check_team_size(options: argparse.Namespace) -> None:
@@ -269,7 +346,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     with progress("moduli", show=comm.rank == 0) as report:
         made, failures = sweep(
-            on_root(comm, all_packings, options.packings), omega, options.output, laws=laws,
+            on_root(comm, all_packings, options), omega, options.output, laws=laws,
             prestress=options.prestress, strain=options.strain, rtol=rtol, direct=options.direct,
             fields_at=omega[np.unique(np.array(nearest, dtype=int))], comm=comm, team_size=options.team_size,
             resume=options.resume, overwrite=options.overwrite, out_of_core=options.out_of_core,
@@ -289,16 +366,29 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
     def work() -> None:
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result, read_results
+        from petscjam.md.result import is_run, read, read_folder
         from petscjam.packing.library import read_library
         from petscjam.plots import plot_library, plot_packing, plot_results
+        from petscjam.plots.shear import plot_flow, plot_maps, plot_ramp, plot_run
         from petscjam.storage import check_output
 
         given: Path = options.file
         folder = given.is_dir()
         target = options.output or (Path(f"{given.absolute()}.png") if folder else given.with_suffix(".png"))
         check_output(target, overwrite=options.overwrite, inputs=[given])
-        if folder:
+        runs = read_folder(given) if folder else {}
+        if options.maps and not (given.is_file() and is_run(given)):
+            raise InputError(f"plot: --maps goes with a sheared run, and {given} is none")
+        if runs:
+            plot_flow(runs, target)
+        elif folder:
             plot_library(read_library(given).rows, target)
+        elif is_run(given):
+            run = read(given)
+            if options.maps:
+                plot_maps(run.state, target)
+            else:
+                (plot_ramp if run.settings["protocol"] == "ramp" else plot_run)(run, target)
         elif is_result(given):
             plot_results(read_results(given), target)
         else:

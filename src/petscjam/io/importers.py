@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,17 @@ def read_h5md(path: Path, index: int, chosen: str | None) -> Packing:
     """Read our own H5MD."""
     _check_index(index, 1)
     return h5md.read(path)
+
+
+def read_sheared(path: Path, index: int, chosen: str | None) -> Packing:
+    """Read the last state of a sheared run as it is: not minimised."""
+    from petscjam.md.quench import snapshot
+    from petscjam.md.result import read_run
+
+    _check_index(index, 1)
+    with open_h5(path) as file:
+        packing = snapshot(read_run(file))
+    return replace(packing, provenance={**packing.provenance, "source": path.name, "format": "petscjam run"})
 
 
 def read_jaxmd(path: Path, index: int, chosen: str | None) -> Packing:
@@ -372,6 +383,7 @@ def _text_with(pattern: bytes) -> Callable[[Path, bytes], bool]:
 
 FORMATS = (
     Format("H5MD of petscjam", _h5_with("h5md"), read_h5md),
+    Format("run of petscjam", _h5_with("settings", "rows", "state"), read_sheared),
     Format("jax-md netCDF-4", _h5_with("pos", "rad", "box"), read_jaxmd),
     Format("jamBashBulk text", _text_with(rb"(?m)^N = \d+ ,L = "), read_jambashbulk),
     Format("GSD", lambda path, head: head.startswith(GSD_SIGNATURE), read_gsd),

@@ -1,6 +1,13 @@
 """Sheared massive disks: the molecular dynamics of Vagberg, Olsson & Teitel 2017 (VOT)."""
 
-from petscjam.md.result import Run, read
-from petscjam.md.shear import ramp, run, shear
+from importlib import import_module
+from typing import Any
 
-__all__ = ["Run", "ramp", "read", "run", "shear"]
+_WHERE = {"Run": "result", "read": "result", "run": "runs", "shear": "runs", "ramp": "runs"}
+__all__ = list(_WHERE)  # loaded when used: numba takes its time
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'petscjam.md' has no attribute {name!r}")
+    return getattr(import_module(f"petscjam.md.{_WHERE[name]}"), name)

@@ -31,7 +31,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     ----------
     state : State
     radius : float
-        Of the circle, in ds; at least the largest radius of a disk.
+        Of the circle, in ds; above the largest radius of a disk.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
         If ``radius`` is too small.
     """
     sizes, n = state.radii, len(state)
-    if not radius >= sizes.max():
-        raise InputError(f"maps: the radius must be at least that of a disk, {sizes.max():g}, not {radius!r}")
+    if not radius > sizes.max():
+        raise InputError(f"maps: the radius must be above that of a disk, {sizes.max():g}, not {radius!r}")
     first, second, r = state.box.pairs_within(state.positions, radius + sizes.max())
     i, j, r = np.append(first, second), np.append(second, first), np.concatenate([r, -r])
     distance = np.hypot(*r.T)
@@ -65,17 +65,15 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     xx, xy, yy = covariance(x, x), covariance(x, y), covariance(y, y)
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = (xx * covariance(y, du) - xy * covariance(x, du)) / (xx * yy - xy**2)
-    return area / (np.pi * radius**2), state.rate + slope
+    return area / (np.pi * radius**2), state.rate + np.where(count < 3, np.nan, slope)
 
 
 def _overlap(d: Array, R: float, r: Array) -> Array:
-    """Return the area that circles of radius ``R`` and ``r`` ≤ ``R`` at distance ``d`` share."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    """Return the area that circles of radius ``R`` and ``r`` < ``R`` at distance ``d`` share."""
+    with np.errstate(divide="ignore"):
         a = np.clip((d**2 + R**2 - r**2) / (2 * d * R), -1, 1)
         b = np.clip((d**2 + r**2 - R**2) / (2 * d * r), -1, 1)
-    kite = d * R * np.sqrt(1 - a**2)
-    lens = R**2 * np.arccos(a) + r**2 * np.arccos(b) - kite
-    return np.where(d <= R - r, np.pi * r**2, np.where(d < R + r, lens, 0.0))
+    return R**2 * np.arccos(a) + r**2 * np.arccos(b) - d * R * np.sqrt(1 - a**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,7 +142,7 @@ def _add_run(run, q, F, pairs, law, measure, step, sums, events):
             F[b, 2] += torque
     sums[run, EXX], sums[run, EXY], sums[run, EYY] = exx, exy, eyy
     sums[run, DXX], sums[run, DXY], sums[run, DYX], sums[run, DYY] = dxx, dxy, dyx, dyy
-    sums[run, TOUCHING], sums[run, HEAT] = count, heat
+    sums[run, TOUCHING], sums[run, HEAT], sums[run, WORK] = count, heat, 0.0
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -183,14 +183,16 @@ def _add_rest(q, F, pairs, law, L, strain, rate, measure, step, sums, events):
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _drag(run, q, F, R, law, rate, sums):
     """Add Stokes drag: −ζ(v − γ̇ y x̂) on a disk, −ζr(θ̇ + γ̇/2) on its rotation."""
-    heat = 0.0
+    heat = couple = 0.0
     for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
-        cx, cy, spin = q[a, 2] - rate * q[a, 1], q[a, 3], q[a, 4] / R[a]
+        cx, cy, spin = q[a, 2] - rate * q[a, 1], q[a, 3], q[a, 4] / R[a] + 0.5 * rate
         F[a, 0] -= law.body * cx
         F[a, 1] -= law.body * cy
-        F[a, 2] -= 2.0 * law.spin_drag * (spin + 0.5 * rate) / R[a]
-        heat += law.body * (cx * cx + cy * cy) + law.spin_drag * (spin + 0.5 * rate) * spin
+        F[a, 2] -= 2.0 * law.spin_drag * spin / R[a]
+        heat += law.body * (cx * cx + cy * cy) + law.spin_drag * spin * spin
+        couple += law.spin_drag * spin
     sums[run, HEAT] += heat
+    sums[run, WORK] = 0.5 * rate * couple  # of what keeps the fluid turning
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -247,7 +249,7 @@ def _correct(run, disks, dt, scheme):
 
 
 @njit(cache=True, error_model="numpy")
-def jump(q, m, old, new, bulk):
+def jump(q, m, L, old, new, bulk):
     """Change the strain rate at once; return the change of the peculiar kinetic and rotational energy.
 
     ``bulk``: 0 changes nothing but the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the
@@ -263,6 +265,8 @@ def jump(q, m, old, new, bulk):
         q[a, 4] *= factor
         if bulk == 2:
             q[a, 2] += (new - old) * q[a, 1]
+        elif bulk == 0:  # an image outside the square moves with its row
+            q[a, 2] += (new - old) * L * np.floor(q[a, 1] / L)
         x, y, w = q[a, 2] - new * q[a, 1], q[a, 3], q[a, 4]
         gain += m[a] * (0.5 * (x * x + y * y) + 0.25 * w * w)
     return gain
@@ -329,15 +333,15 @@ def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, step, sum
 
 
 @njit(cache=True, error_model="numpy")
-def book(sums, rate, total, weight):
+def book(sums, rate, total):
     """Add the sums of all runs, and the power of the shear stress, to ``total``."""
     shear = 0.0
     for name in range(WORK):
         value = sums[:, name].sum()
-        total[name] += weight * value
+        total[name] += value
         if name in (EXY, DXY, KXY):
             shear += value
-    total[WORK] -= weight * rate * shear
+    total[WORK] += sums[:, WORK].sum() - rate * shear
 
 
 @njit(cache=True, error_model="numpy")
@@ -373,7 +377,7 @@ def advance(
     for k in range(len(rates) - 1):
         rate = rates[k + 1]
         if rate != rates[k]:
-            total[JUMPS] += jump(q, disks.m, rates[k], rate, bulk)
+            total[JUMPS] += jump(q, disks.m, L, rates[k], rate, bulk)
             rates[k] = rate
             F[:] = 0.0
             fresh = True
@@ -391,13 +395,13 @@ def advance(
         if room <= 0.0 or left.sum() > 0:
             return k
         if scheme == HEUN:
-            book(sums, rate, total, 1.0)
+            book(sums, rate, total)
         else:
             F[:] = 0.0
         last = scheme == SINGLE
         forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, step + k + 1, sums, events)
         if last:
-            book(sums, rate, total, 1.0)
+            book(sums, rate, total)
         if threads:
             _correct_runs_threaded(disks, dt, scheme, runs)
         else:

@@ -5,7 +5,8 @@ Units are those of VOT: the diameter ds of a small disk, the mass m and the time
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Any
 
@@ -21,6 +22,7 @@ MODELS: dict[str, DampingLaw] = {
 # flow (measured, docs/design/0015), and the largest product of rate and time step of each integrator.
 AT_CENTRES, AT_CONTACT_POINT = 6.7, 13.3
 INTEGRATORS = {"heun": 2.0, "single": 0.8}
+BULK = {"boundary": 0, "scale": 1, "profile": 2}  # what a change of the strain rate does to the disks
 LARGEST_STEP = 0.2  # τe: the elastic forces, however weak the damping
 STEP = 0.05  # τe, VOT sec. II D
 
@@ -123,3 +125,12 @@ def model(law: str | DampingLaw, Q: float, **others: Any) -> Model:
     if not isinstance(law, tuple(LAWS.values())):
         raise InputError(f"shear: {law!r} is neither the name of a model nor a damping law")
     return Model(law, Q, **others)
+
+
+def model_of(settings: Mapping[str, Any]) -> Model:
+    """Return the model of a run from its settings."""
+    law = MODELS.get(settings["model"])
+    if law is None:
+        kind = LAWS[settings["law"]]
+        law = kind(**{item.name: settings[item.name] for item in fields(kind)})
+    return Model(law, **{name: settings[name] for name in ("Q", "exponent", "drag", "spin_drag")})

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 from petscjam.box import Array
 from petscjam.errors import InputError
 from petscjam.md.state import State
-from petscjam.storage import group, open_h5
+from petscjam.storage import check_output, group, open_h5, write_atomically
 
 FORMAT, SCHEMA = "petscjam run", 1
 BINS = 100  # of the collision angle, 3.6° each (VOT fig. 8)
@@ -250,3 +251,18 @@ def read(path: str | PathLike[str]) -> Run:
     """
     with open_h5(path) as h5:
         return read_run(h5)
+
+
+def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
+    """Return every run in ``folder`` by the name of its file, without the ending."""
+    files = sorted(Path(folder).glob("*.h5"))
+    return {file.stem: read(file) for file in files if is_run(file)}
+
+
+def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the time series as CSV, a column for each of :data:`ROWS`."""
+    check_output(path, overwrite=overwrite)
+    table = np.column_stack([run.rows[name] for name in ROWS])
+    lines = [f"# {name}: {text}" for name, text in ROWS.items()]
+    lines += [",".join(ROWS), *(",".join(f"{x:.16e}" for x in row) for row in table)]
+    write_atomically(path, "\n".join([*lines, ""]).encode())

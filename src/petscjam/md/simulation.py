@@ -14,12 +14,11 @@ from petscjam.box import Array
 from petscjam.errors import InputError, SolverError
 from petscjam.md import kernels
 from petscjam.md.kernels import BINS, HEUN, SINGLE, SUMS, Disks, Events, Law
-from petscjam.md.model import Model
+from petscjam.md.model import BULK, Model
 from petscjam.md.neighbours import CHUNK, find_pairs, mark, open_contacts, order_by_cell, wrap
 from petscjam.md.state import State
 
 SCHEMES = {"heun": HEUN, "single": SINGLE}
-BULK = {"boundary": 0, "scale": 1, "profile": 2}  # what a change of the strain rate does to the disks
 SKIN = 0.03  # ds, the first list
 SKINS = 0.005, 0.5  # the least and the most of later ones
 BALANCE = {"heun": 1.3, "single": 2.6}  # cost of a build over that of the pairs in a skin of 1 ds, per step
@@ -148,6 +147,11 @@ class Simulation:
             if done < count:
                 if made == 0 and tried:
                     self._check()
+                    if self.skin >= min(SKINS[1], self._widest):
+                        raise SolverError(
+                            f"shear: disks leave their neighbours within a step at a strain of "
+                            f"{self.strain:.6g}; take a smaller dt"
+                        )
                     self.skin *= 2
                     self._build(open_contacts(self._pairs, self.tag))
                 else:
@@ -169,7 +173,7 @@ class Simulation:
             d.q, d.F, d, self._pairs, self._law, self.L, self.strain, self.rate, self.threads > 1, True,
             self.steps, self._sums, self._events,
         )  # fmt: skip
-        kernels.book(self._sums, self.rate, now, 1.0)
+        kernels.book(self._sums, self.rate, now)
         return now
 
     def _see(self) -> None:
@@ -228,7 +232,10 @@ class Simulation:
         )  # fmt: skip
 
     def checkpoint(self) -> dict[str, Any]:
-        """Build a new list; return all that :meth:`restored` needs to go on as if nothing had happened."""
+        """Build a new list; return all that :meth:`restored` needs to go on as if nothing had happened.
+
+        Call :meth:`collect` first: it books the contacts that the last step made and broke.
+        """
         self.rebuild()
         d = self._disks
         return {

@@ -30,6 +30,7 @@ ESCAPES = 20  # times that a negative mode is followed downhill
 ADJUSTMENTS = 10  # of the cell, at the end
 ROUNDING = 4.0  # forces in another cell than a packing's own, in units of those in its own
 HISTORY = 200  # points kept of the history of a preparation
+DIGITS = 1e6  # forces are to stand out from rounding by as much
 
 
 def prepare_packing(
@@ -136,7 +137,10 @@ def relax_packing(
     d, law = packing.mean_diameter, packing.potential
     unit = float(law.spring_constant(np.array(d))) * d ** (law.exponent - 2)
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
-    return _relaxed(packing, pressure, shear_stabilised, method, threads, _LogBook(budget, progress))
+    book = _LogBook(budget, progress)
+    if pressure is None:
+        book.least = DIGITS * rounding_force(ContactNetwork.of(packing)) / d
+    return _relaxed(packing, pressure, shear_stabilised, method, threads, book)
 
 
 def _relaxed(
@@ -219,7 +223,13 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
 
 
 class _LogBook:
-    """Budget, progress and history of a preparation that has several stages."""
+    """Budget, progress and history of a preparation that has several stages.
+
+    Disks whose pressure falls below ``least`` are not jammed: contacts that open take the forces along, and a
+    goal in units of these recedes for ever.
+    """
+
+    least = 0.0
 
     def __init__(self, budget: int, progress: Report | None) -> None:
         self.budget, self.progress = budget, progress
@@ -230,6 +240,8 @@ class _LogBook:
 
     def __call__(self, h: Enthalpy, z: Array) -> None:
         self._note(h, z)
+        if h.pressure < self.least:
+            raise InputError(f"not jammed: the pressure falls to {h.pressure:.1e}, with all forces")
         goal = 1e-10 * h.pressure * h.diameter
         if 0 < goal < 1 and h.force < 1:
             self._done = max(self._done, min(0.99, log(max(h.force, goal)) / log(goal)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -145,7 +146,7 @@ def run(
     total = max(round(protocol.duration / dt), 1)
     row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
     settings = {
-        "model": law.name, "law": str(law.law), "Q": float(Q), "exponent": float(exponent),
+        "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q), "exponent": float(exponent),
         "drag": float(drag), "spin_drag": float(spin_drag),
         "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
         "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,

@@ -1,0 +1,96 @@
+"""The verbs of sheared disks."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from petscjam.cli.laws import chosen_laws, law_options
+from petscjam.cli.verbs import say
+from petscjam.errors import InputError, SolverError
+from petscjam.parallel.comm import on_root
+
+
+def shear(options: argparse.Namespace, comm: Any) -> None:
+    """Shear disks at a steady rate, in steps, or back and forth; one run, or a grid of them."""
+    from petscjam.md import protocols
+
+    if options.oscillate and (options.then or options.rate or options.strain):
+        raise InputError("shear: --oscillate goes without --rate, --strain and --then")
+
+    def protocol(rate: float) -> protocols.Protocol:
+        if options.oscillate:
+            return protocols.oscillation(*options.oscillate)
+        strain = 10.0 if options.strain is None else options.strain
+        if options.then:
+            rates, strains = zip(*options.then, strict=True)
+            return protocols.steps([rate, *rates], [strain, *strains], options.bulk)
+        return protocols.steady(rate, strain)
+
+    _work(options, comm, protocol, [0.0] if options.oscillate else options.rate or [1e-4])
+
+
+def ramp(options: argparse.Namespace, comm: Any) -> None:
+    """Ramp the strain rate up and down; one run, or a grid of them."""
+    from petscjam.md import protocols
+
+    def protocol(rate: float) -> protocols.Protocol:
+        return protocols.ramp(rate, options.to, options.kappa)
+
+    if options.row_time is None:
+        options.row_time = 1e3  # VOT sec. III D
+    _work(options, comm, protocol, options.rate or [1e-6])
+
+
+def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[float]) -> None:
+    from petscjam.md.grid import grid, run_grid
+    from petscjam.md.runs import run
+    from petscjam.progress import progress
+    from petscjam.report import describe_run
+
+    if options.model and law_options(options):
+        raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
+    models: list[Any] = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
+    common = {
+        name: getattr(options, name)
+        for name in ("start", "integrator", "dt", "threads", "exponent", "drag", "spin_drag", "row_time",
+                     "frames")
+    }  # fmt: skip
+
+    if options.start is not None and options.start.is_dir():
+        from petscjam.io.lammps_shear import read_lammps
+
+        common["start"] = read_lammps(options.start)
+
+    def work(rate: float, **settings: Any) -> Any:
+        return run(protocol(rate), **common, **settings)
+
+    start = options.start is not None
+    sizes = options.particles or [None if start else 1024]
+    phis = options.phi or [None if start else 0.82]
+    seeds = options.seeds or [1 if options.seed is None else options.seed]
+    points = grid(models, sizes, phis, options.Q, rates, seeds)
+    if len(points) == 1 and not options.output.is_dir():
+
+        def one() -> str:
+            with progress(options.verb, show=True) as report:
+                done = work(
+                    **vars(points[0]), output=options.output, resume=options.resume,
+                    overwrite=options.overwrite, progress=report,
+                )  # fmt: skip
+            return f"{options.output}\n{describe_run(done)}"
+
+        say(comm, on_root(comm, one))
+        return
+    if start and (options.particles is None or options.phi is None):
+        raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
+    with progress(options.verb, show=comm.rank == 0) as report:
+        made, failures = run_grid(
+            points, options.output, work, comm=comm, resume=options.resume, overwrite=options.overwrite,
+            progress=report, log=lambda file, _: print(file, flush=True),
+        )  # fmt: skip
+    say(comm, f"{made} of {len(points)} runs: {options.output}")
+    if failures:
+        raise SolverError(
+            "".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)])
+        )

@@ -1,0 +1,284 @@
+"""Sheared disks for LAMMPS, which goes on where one computer ends, and back.
+
+LAMMPS's pair style ``granular`` has the forces of VOT but for two details. Disks with an overlap δ touch at
+R in its velocities and at R − δ/2 in its torques, not at r R/(Ri + Rj) as in VOT eq. 6; and a step takes the
+damping from velocities half a step old. So compare averages: they agree to the order of the overlap and dt.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import combinations_with_replacement
+from math import ceil, isfinite
+from numbers import Integral
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from petscjam.box import Array
+from petscjam.errors import InputError
+from petscjam.md.model import Model
+from petscjam.md.state import State
+from petscjam.storage import check_output, naming, write_atomically
+
+SIZES = 10  # radii at most: each is an atom type, each pair of types has its spring constant
+FRAMES = 100  # of a run, unless told otherwise
+DISKS = """\
+units lj
+dimension 2
+boundary p p p
+atom_style sphere
+newton on
+box tilt large
+read_data disks.data
+set type * mass 1.0
+comm_modify vel yes
+pair_style granular
+{pairs}
+neighbor ${{skin}} bin
+neigh_modify delay 0 every 1 check yes
+"""
+COLUMNS = "id type x y vx vy omegaz radius"
+IN_SHEAR = """\
+# {name}, Q = {Q:g}, in ds, m and tau_e. strain and time are those of disks.data.
+# Only steps, every and skin may be set otherwise: lmp -var skin 0.2 -in in.shear
+{settings}
+log shear.log
+{disks}
+timestep ${{dt}}
+fix shear all deform 1 xy erate ${{rate}} remap v flip yes
+fix move all {integrator}
+
+# LAMMPS's virial has the separation first. With the force first, as in VOT, xy differs by the torques.
+variable gamma equal v_strain+v_rate*v_dt*step
+compute pair all pressure NULL pair
+compute torques all property/atom tqz
+compute couple all reduce sum c_torques
+variable pair_xy equal c_pair[4]+c_couple/vol
+compute peculiar all temp/deform
+compute kinetic all pressure peculiar ke
+compute touching all contact/atom
+compute contacts all reduce ave c_touching
+thermo ${{every}}
+thermo_style custom step v_gamma c_contacts &
+    c_pair[1] v_pair_xy c_pair[4] c_pair[2] c_kinetic[1] c_kinetic[4] c_kinetic[2]
+thermo_modify colname v_gamma strain colname c_contacts contacts &
+    colname c_pair[1] pair_xx colname v_pair_xy pair_xy colname c_pair[4] pair_yx colname c_pair[2] pair_yy &
+    colname c_kinetic[1] kinetic_xx colname c_kinetic[4] kinetic_xy colname c_kinetic[2] kinetic_yy
+thermo_modify format float %.17g
+
+dump frames all custom ${{every}} shear.dump {columns}
+dump_modify frames sort id format float %.17g
+run ${{steps}}
+write_dump all custom end.dump {columns} modify sort id format float %.17g
+"""
+IN_ELASTIC = """\
+# The elastic pressure of every frame of shear.dump; what is left of that of in.shear is dissipative.
+variable skin index 0.1
+log elastic.log
+{disks}
+compute elastic all pressure NULL pair
+thermo 1
+thermo_style custom step c_elastic[1] c_elastic[4] c_elastic[2]
+thermo_modify colname c_elastic[1] elastic_xx colname c_elastic[4] elastic_xy colname c_elastic[2] elastic_yy
+thermo_modify format float %.17g
+rerun shear.dump dump x y
+"""
+
+
+def write_lammps(
+    state: State,
+    model: Model,
+    folder: str | PathLike[str],
+    *,
+    rate: float,
+    strain: float,
+    dt: float | None = None,
+    every: int | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write ``state`` and its shearing as input of LAMMPS: disks.data, in.shear and in.elastic.
+
+    ``lmp -in in.shear`` shears; it leaves shear.log, the frames of shear.dump and, at the end, end.dump. A
+    row of shear.log has the strain, the contacts of a disk, and the pressures of forces (``pair``) and of
+    peculiar velocities; of xy, the first index is that of the force, as in VOT eq. 13. In its first row the
+    boundaries do not move yet: leave it out. ``lmp -in in.elastic`` then finds the elastic part of the
+    pressure for each row, in elastic.log; the rest of ``pair`` is dissipative.
+
+    Parameters
+    ----------
+    state : State
+        A rate other than its own changes the linear profile, not the peculiar velocities.
+    model : Model
+    folder : path
+        Made, if need be.
+    rate : float
+        Strain rate γ̇ in 1/τe, of either sign.
+    strain : float
+        How far to shear from here, > 0, rounded up to whole time steps.
+    dt : float
+        Time step in τe; left out, as in :meth:`petscjam.md.model.Model.step`.
+    every : int
+        Time steps from one row and frame to the next; left out, a hundredth of the run.
+    overwrite : bool
+        Replace these three files, and remove end.dump.
+
+    Raises
+    ------
+    InputError
+        If LAMMPS cannot express the model, a number is wrong, dt is too large or a file cannot be written.
+    """
+    for value, good, what in (
+        (model.exponent, model.exponent == 2, "the exponent 2 only, not"),
+        (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
+        (model.spin_drag, model.spin_drag == 0, "no drag on rotations, but there is"),
+        (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
+    ):
+        if not good:
+            raise InputError(f"lammps: its input has {what} {value!r}")
+    for name, value, good, what in (
+        ("rate", rate, rate != 0, "other than 0"),
+        ("strain", strain, strain > 0, "above 0"),
+    ):
+        if not (good and isfinite(value)):
+            raise InputError(f"lammps: {name} must be {what} and finite, not {value!r}")
+    dt = model.step(dt, "heun")  # its limit is that of LAMMPS's step, too: dt times the fastest rate is 2
+    steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
+    if every is None:
+        every = max(1, steps // FRAMES)
+    if not (isinstance(every, Integral) and every > 0):
+        raise InputError(f"lammps: every must be a whole number above 0, not {every!r}")
+    velocities = state.velocities + np.outer((rate - state.rate) * state.positions[:, 1], [1, 0])
+    start = replace(state, velocities=velocities, rate=rate).wrapped()
+    settings = {"rate": start.rate, "dt": dt, "strain": start.strain, "time": start.time, "steps": steps,
+                "every": int(every), "skin": 0.1}  # fmt: skip
+    texts = {
+        "disks.data": _data(start, model.rolls),
+        "in.shear": IN_SHEAR.format(
+            name=model.name,
+            Q=model.Q,
+            settings="\n".join(f"variable {name} index {value!r}" for name, value in settings.items()),
+            disks=_disks(start.radii, model.normal, model.tangential / model.normal),
+            integrator="nve/sphere disc" if model.rolls else "nve",
+            columns=COLUMNS,
+        ),
+        "in.elastic": IN_ELASTIC.format(disks=_disks(start.radii, 0.0, 0.0)),
+    }
+    with naming(folder):
+        Path(folder).mkdir(exist_ok=True)
+    for name in texts:
+        check_output(Path(folder, name), overwrite=overwrite)
+    for name, text in texts.items():
+        write_atomically(Path(folder, name), text.encode())
+    Path(folder, "end.dump").unlink(missing_ok=True)  # the end of another run
+
+
+def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
+    """Read back where a run of :func:`write_lammps` has come to.
+
+    Parameters
+    ----------
+    path : path
+        The folder, for its end.dump; or a dump in it, as shear.dump.
+    frame : int
+        Which frame of the dump, as one counts in Python.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, or the dump is damaged or not of such a run.
+    """
+    path = Path(path)
+    path = path / "end.dump" if path.is_dir() else path
+    source = path.with_name("in.shear")
+    with naming(source):
+        found = dict(re.findall(r"^variable (\w+) index (\S+)$", source.read_text(), re.MULTILINE))
+        try:
+            rate, dt, strain, time = (float(found[name]) for name in ("rate", "dt", "strain", "time"))
+        except (KeyError, ValueError) as error:
+            raise InputError(f"not as petscjam wrote it: no number for {error}") from error
+    with naming(path):
+        try:
+            lines = path.read_text().split("ITEM: TIMESTEP\n")[1:][frame].splitlines()
+            step, count, columns, disks = (
+                int(lines[0]),
+                int(lines[2]),
+                lines[7],
+                np.loadtxt(lines[8:], ndmin=2),
+            )
+            (xlo, xhi, xy), (ylo, yhi, _) = (map(float, line.split()) for line in lines[4:6])
+        except (ValueError, IndexError) as error:
+            raise InputError(f"no frame {frame}, or a damaged one ({error})") from error
+        width, length = xhi - xlo - abs(xy), yhi - ylo  # the bounds are those of all corners
+        for good, what in (
+            (columns == f"ITEM: ATOMS {COLUMNS}", f"the columns are {columns!r}, not {COLUMNS}"),
+            (disks.shape == (count, 8), f"frame {frame} has {disks.shape} numbers, not {(count, 8)}"),
+            (
+                np.isclose(width, length, rtol=1e-9),
+                f"the cell is {width:g} x {length:g}, not a sheared square",
+            ),
+        ):
+            if not good:
+                raise InputError(what)
+        elapsed, tilt = step * dt, xy / length
+        strain = tilt + round(strain + rate * elapsed - tilt)  # LAMMPS keeps the tilt between −1/2 and 1/2
+        return State(
+            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed
+        )  # fmt: skip
+
+
+def read_log(path: str | PathLike[str]) -> dict[str, Array]:
+    """Read the table of the last run in a log of LAMMPS: a (K,) array for each column, by its heading.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or has no table.
+    """
+    with naming(path):
+        lines = [line.split() for line in Path(path).read_text().splitlines()]
+        heads = [n for n, words in enumerate(lines) if words[:1] == ["Step"]]
+        if not heads:
+            raise InputError("no line begins with Step: not a log of LAMMPS, or its run has not begun")
+        names, rows = lines[heads[-1]], []
+        for words in lines[heads[-1] + 1 :]:
+            if words[:2] == ["Loop", "time"]:
+                break
+            try:
+                row = [float(word) for word in words]
+            except ValueError:  # a warning
+                continue
+            if len(row) == len(names):
+                rows.append(row)
+        return dict(zip(names, np.reshape(rows, (len(rows), len(names))).T, strict=True))
+
+
+def _disks(radii: Array, normal: float, ratio: float) -> str:
+    """Return the commands up to the forces: damping ``normal``, and ``ratio`` times as much tangentially."""
+    diameters = (2 * np.unique(radii)).tolist()
+    pairs = [
+        f"pair_coeff {a} {b} hooke {4 / (da + db) ** 2!r} {normal!r} damping velocity "
+        f"tangential linear_nohistory {ratio!r} 1.0e30"
+        for (a, da), (b, db) in combinations_with_replacement(enumerate(diameters, 1), 2)
+    ]
+    return DISKS.format(pairs="\n".join(pairs))
+
+
+def _data(state: State, rolls: bool) -> str:
+    """Return LAMMPS's data file of disks inside the cell; without spins, unless they roll."""
+    sizes, types = np.unique(state.radii, return_inverse=True)
+    L, tilt = state.length, float(state.box.cell[1, 0])
+    atoms = np.column_stack([types + 1, 2 * state.radii, state.positions])
+    moving = np.column_stack([state.velocities, state.spins * rolls])
+    return "\n".join([
+        f"disks at a strain of {state.strain!r}\n",
+        f"{len(state)} atoms\n{len(sizes)} atom types\n",
+        f"0.0 {L!r} xlo xhi\n0.0 {L!r} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt!r} 0.0 0.0 xy xz yz\n",
+        "Atoms # sphere\n",
+        *(f"{i} {t:.0f} {d!r} 1.0 {x!r} {y!r} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
+        "\nVelocities\n",
+        *(f"{i} {vx!r} {vy!r} 0.0 0.0 0.0 {spin!r}" for i, (vx, vy, spin) in enumerate(moving.tolist(), 1)),
+        "",
+    ])  # fmt: skip

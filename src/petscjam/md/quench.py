@@ -1,0 +1,85 @@
+"""From a sheared run to the linear response: a snapshot, quenched into a packing under its own stresses.
+
+Neither size nor shape of the cell relaxes, so what shear stress the minimum bears stays: the packing is
+anisotropic, its cell tilted by the strain modulo 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from petscjam.errors import InputError
+from petscjam.md.result import Run
+from petscjam.md.state import State
+from petscjam.packing.packing import Packing
+from petscjam.packing.prepare import BUDGET, relax_packing
+from petscjam.potential import POTENTIALS
+from petscjam.progress import Report
+from petscjam.storage import release
+
+LAWS = {law.exponent: law.name for law in POTENTIALS.values() if law.name.endswith("-relative")}
+SETTINGS = ("model", "law", "Q", "exponent", "drag", "spin_drag", "protocol", "start", "seed")
+
+
+def snapshot(run: Run) -> Packing:
+    """Return the disks at the end of ``run`` as they are: not minimised. Units: ds and ke/ds².
+
+    The provenance holds the settings of the run that matter to its last state, and phi, strain, rate (1/τe)
+    and time (τe) of that.
+
+    Raises
+    ------
+    InputError
+        If no potential of :data:`petscjam.potential.POTENTIALS` has the exponent of the run.
+    """
+    exponent, state = run.settings["exponent"], run.state
+    if exponent not in LAWS:
+        known = ", ".join(f"{alpha:g} ({name})" for alpha, name in LAWS.items())
+        raise InputError(f"quench: no contact potential has the exponent {exponent:g}; known are {known}")
+    made_by: dict[str, Any] = {"program": "petscjam", "version": release("petscjam")}
+    made_by.update({key: run.settings[key] for key in SETTINGS if run.settings.get(key) is not None})
+    made_by.update(phi=state.phi, strain=state.strain, rate=state.rate, time=state.time)
+    return replace(state.packing(), potential_name=LAWS[exponent], provenance=made_by)
+
+
+def quench(
+    source: Run | State | Packing,
+    *,
+    method: str = "fire",
+    threads: int = 1,
+    budget: int = BUDGET,
+    progress: Report | None = None,
+) -> Packing:
+    """Return the nearest minimum of the energy at the box of ``source``, with its certificate.
+
+    Velocities are dropped, and with them whatever stress they kept up: the slower the flow, the nearer the
+    stress of the minimum to that of the flow.
+
+    Parameters
+    ----------
+    source : Run, State or Packing
+        A run stands for its last state, a state alone for harmonic disks.
+    method, threads, budget, progress
+        As for :func:`petscjam.relax_packing`.
+
+    Returns
+    -------
+    Packing
+        Its provenance is that of :func:`snapshot`, with ``quenched``, the checksum of what was quenched.
+
+    Raises
+    ------
+    InputError
+        If the disks find room and lose their contacts: not jammed at their packing fraction. If no
+        potential has the exponent of the run.
+    SolverError
+        If the forces do not balance within the budget.
+    """
+    start = snapshot(source) if isinstance(source, Run) else source
+    start = start.packing() if isinstance(start, State) else start
+    start = replace(start, provenance={**start.provenance, "quenched": start.checksum})
+    try:
+        return relax_packing(start, method=method, threads=threads, budget=budget, progress=progress)
+    except InputError as error:
+        raise InputError(f"quench: at phi = {start.phi:.6f}: {error}") from error

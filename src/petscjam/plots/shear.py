@@ -1,0 +1,407 @@
+"""Figures of sheared disks: a run, local maps, a ramp, and flow curves of many runs (VOT figs. 1–31)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from petscjam.box import Array
+from petscjam.errors import InputError
+from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
+from petscjam.md.result import Mean, Run
+from petscjam.md.state import State
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, errors, save
+from petscjam.plots.packing import OUTLINED
+
+GREY = "0.35"
+VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
+MEANS = (
+    ("P", "pressure"), ("Σ", "stress"), ("P elastic", "pressure_elastic"), ("Σ elastic", "stress_elastic"),
+    ("μ", "friction"), ("Z", "contacts"), ("ηp", "pressure_viscosity"), ("Bp", "pressure_bagnold"),
+    ("Rv", "banding"),
+)  # fmt: skip
+
+
+def _number(value: float) -> str:
+    """Return a number for a label, with a power of ten if it is far from 1."""
+    text = f"{value:.4g}"
+    if value == 0 or 1e-2 <= abs(value) < 1e4:
+        return text
+    head, power = f"{value:.3e}".split("e")
+    head = f"{float(head):g}"
+    return rf"${'' if head == '1' else head + chr(92) + 'times '}10^{{{int(power)}}}$"
+
+
+def _title(run: Run) -> str:
+    s = run.settings
+    return rf"{_model(s['model'])}, {s['particles']} disks, $\phi$ = {s['phi']:.5g}, $Q$ = {_number(s['Q'])}"
+
+
+def _model(name: str) -> str:
+    """Return the name of a model with its subscript."""
+    head, _, index = name.partition("_")
+    return rf"{head}$_\mathrm{{{index}}}$" if index and index.isalpha() else name
+
+
+# --- one run ------------------------------------------------------------------------------------------
+
+
+def plot_run(run: Run, path: str | PathLike[str]) -> None:
+    """Draw one run: its time series, profiles, collision angles, contact velocities, and a table of means.
+
+    Means, profiles and histograms leave out the first quarter of the strain, shaded in the time series.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure: Any = Figure(figsize=(16, 11), layout="constrained")
+    figure.get_layout_engine().set(wspace=0.04, hspace=0.05)
+    panels = figure.subplots(3, 4)
+    _draw_series(panels[0], run)
+    _draw_profiles(panels[1, :3], run)
+    _draw_angles(panels[1, 3], run)
+    _draw_velocities(panels[2, :3], run)
+    _draw_means(panels[2, 3], run)
+    rate = run.settings["rate"]
+    figure.suptitle(rf"{_title(run)}, $\dot\gamma\tau_e$ = {_number(rate)}", fontsize=13)
+    save(figure, path)
+
+
+def _draw_series(panels: Any, run: Run) -> None:
+    stresses, contacts, friction, energy = panels
+    strain = np.append(run.settings["strain0"], run.strain)
+    to_and_fro = not (np.diff(strain) > 0).all() and not (np.diff(strain) < 0).all()
+    x, label = (run.time, r"time $t/\tau_e$") if to_and_fro else (run.strain, r"strain $\gamma$")
+    for name, values, elastic, colour in (
+        ("P", run.pressure, run.pressure_elastic, STORAGE),
+        (r"\Sigma", run.stress, run.stress_elastic, LOSS),
+    ):
+        for some, style, text in ((values, "-", f"${name}$"), (elastic, ":", "elastic part")):
+            some = some if to_and_fro else np.where(some > 0, some, np.nan)
+            stresses.plot(x, some, style, color=colour, lw=1.1, label=text)
+    stresses.set(ylabel=r"stress  ($m/\tau_e^2$)", yscale="linear" if to_and_fro else "log")
+    stresses.legend(frameon=False, fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1),
+                    columnspacing=1, handlelength=1.5)  # fmt: skip
+    contacts.plot(x, run.contacts, color=STABLE, lw=1.1)
+    contacts.set(ylabel="contacts of a disk  $Z$", ylim=(0, 1.1 * max(run.contacts.max(), 1e-3)))
+    friction.plot(x, run.friction, color=GREY, lw=1.1)
+    friction.set(ylabel=r"$\mu = \Sigma/P$")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        imbalance = np.abs(np.cumsum(run.rows["imbalance"])) / np.cumsum(run.rows["heat"])
+    energy.semilogy(x, np.where(imbalance > 0, imbalance, np.nan), color=GREY, lw=1.1)
+    energy.set(ylabel="energy not accounted for / heat")
+    for axes in panels:
+        start = run.settings["time0" if to_and_fro else "strain0"]
+        axes.axvspan(start, x[np.argmax(run.after())], color="0.93", lw=0, zorder=0)
+        axes.set(xlabel=label, xlim=sorted((start, x[-1])))
+
+
+def _draw_profiles(panels: Any, run: Run) -> None:
+    """Draw vx(y), its slope and φ(y) (VOT fig. 28), and two bands where they fit far better than one."""
+    p = profile(run)
+    for axes, values, error, colour, label, mean in (
+        (panels[0], p.vx, p.vx_error, STORAGE, r"$v_x(y)$  ($d_s/\tau_e$)", None),
+        (panels[1], p.rate, p.rate_error, LOSS, r"local strain rate $dv_x/dy$  ($1/\tau_e$)", p.mean_rate),
+        (panels[2], p.phi, p.phi_error, STABLE, r"local packing fraction $\phi(y)$", p.mean_phi),
+    ):
+        axes.fill_between(p.y, values - error, values + error, color=colour, alpha=0.25, lw=0)
+        axes.plot(p.y, values, color=colour, lw=1.3)
+        if mean is None:
+            axes.plot(p.y, p.vx.mean() + p.mean_rate * (p.y - p.length / 2), "--", color=GREY, lw=0.9)
+        else:
+            axes.axhline(mean, color=GREY, ls="--", lw=0.9)
+        axes.set(xlabel="$y/d_s$", ylabel=label, xlim=(0, p.length))
+        axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True, useOffset=False)
+    if (b := _two_bands(run)) is None:
+        return
+    panels[0].plot(p.y, b.vx, ":", color="0.1", lw=1.2)
+    edges = (b.centres[0] + np.array([-1, 1]) * b.shares[0] * p.length / 2) % p.length
+    for axes in panels:
+        for edge in edges:
+            axes.axvline(edge, color="0.6", ls=":", lw=1)
+    for rate, middle in zip(b.rates, b.centres, strict=True):
+        panels[1].annotate(_number(float(f"{rate:.2g}")), (middle, rate), (0, 14), textcoords="offset points",
+                           ha="center", fontsize=9, bbox={"fc": "white", "ec": "none", "pad": 1})  # fmt: skip
+
+
+def _two_bands(run: Run) -> Bands | None:
+    """Return the bands of the profile if two slopes leave less than a third of what one leaves."""
+    p = profile(run)
+    if len(p.y) < 8:
+        return None
+    found = bands(p)
+    return found if found.two < found.one / 3 and abs(found.rates[0]) > 2 * abs(found.rates[1]) else None
+
+
+def _draw_angles(axes: Any, run: Run) -> None:
+    """Draw P(ϑ) at making and breaking of contacts (VOT fig. 8)."""
+    kept = blocks_after(run)
+    made, broken = (run.blocks[key][kept].sum(0).astype(float) for key in ("making", "breaking"))
+    edges = np.linspace(-180, 180, len(made) + 1)
+    density = 1 / max((made + broken).sum() * (edges[1] - edges[0]), 1)
+    axes.stairs(made * density, edges, fill=True, color=STORAGE, alpha=0.35, label="made")
+    axes.stairs((made + broken) * density, edges, baseline=made * density, fill=True, color=LOSS, alpha=0.35,
+                label="broken")  # fmt: skip
+    axes.stairs((made + broken) * density, edges, color=GREY, lw=0.8)
+    axes.set(xlabel=r"collision angle $\vartheta$ (degrees)", ylabel=r"$\mathcal{P}(\vartheta)$  (1/degree)",
+             xlim=(-180, 180), xticks=np.arange(-180, 181, 90), ylim=(0, None))  # fmt: skip
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_velocities(panels: Any, run: Run, most: int = 5000) -> None:
+    """Draw how the velocities of contacts go together, mean and principal axes (VOT fig. 21)."""
+    kept = blocks_after(run)
+    points = run.blocks["scatter"][kept].reshape(-1, 4)
+    points = points[np.isfinite(points).all(1)][:most]
+    pairs = run.blocks["pairs"][kept].sum()
+    for axes, (x, y) in zip(panels, ((1, 0), (1, 2), (2, 3)), strict=True):
+        if len(points) and not points[:, [x, y]].any(0).all():  # nothing rotates
+            axes.set_axis_off()
+            continue
+        axes.set(xlabel=VELOCITIES[x], ylabel=VELOCITIES[y], aspect="equal")
+        axes.axhline(0, color="0.8", lw=0.8, zorder=0)
+        axes.axvline(0, color="0.8", lw=0.8, zorder=0)
+        if not len(points):
+            continue
+        reach = 1.1 * float(np.quantile(np.abs(points), 0.995)) or 1.0
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+        axes.plot(points[:, x], points[:, y], ".", color=STORAGE, ms=2, alpha=0.35, mew=0, rasterized=True)
+        mean = run.blocks["first"][kept].sum(0) / pairs
+        covariance = run.blocks["second"][kept].sum(0) / pairs - np.outer(mean, mean)
+        pick = [x, y]
+        variances, directions = np.linalg.eigh(covariance[np.ix_(pick, pick)])
+        for variance, way in zip(variances, directions.T, strict=True):
+            ends = mean[pick] + 3 * np.sqrt(max(variance, 0)) * np.array([[-1], [1]]) * way
+            axes.plot(*ends.T, ":", color="k", lw=1.3)
+        axes.plot(*mean[pick], "o", color="white", mec="k", ms=5)
+    panels[2].set_title(r"contacts: velocity differences in units of $d_s\dot\gamma$", fontsize=9)
+
+
+def _draw_means(axes: Any, run: Run) -> None:
+    axes.set_axis_off()
+    lines = ["time means after a quarter of the strain", ""]
+    if run.after().sum() < 2:
+        lines.append("the run is too short")
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means = [(name, run.mean(key)) for name, key in MEANS]
+            if run.rows["spin"].any():
+                means.append(("spin/rate", run.mean(run.rows["spin"] / run.rate)))
+        lines += [f"{name:10s} {m.value:11.4g} ± {m.error:.2g}" for name, m in means if np.isfinite(m.value)]
+    if b := _two_bands(run):
+        lines += ["", "two bands:"]
+        for rate, share, middle in zip(b.rates, b.shares, b.centres, strict=True):
+            lines.append(f"rate {rate:.3g} on {100 * share:.0f} % at y = {middle:.1f}")
+        lines.append(f"rms of vx: {b.two:.2g} (one slope {b.one:.2g})")
+    axes.text(
+        0.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", family="monospace", fontsize=9
+    )
+
+
+# --- maps ---------------------------------------------------------------------------------------------
+
+
+def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -> None:
+    """Draw every disk in the colour of the packing fraction, and of the strain rate, around it (VOT fig. 27).
+
+    Colours span all but the outermost percents.
+
+    Raises
+    ------
+    InputError
+        If the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    size = float(np.clip(0.16 * np.sqrt(len(state)), 5.0, 9.0))  # inches
+    figure = Figure(figsize=(2.2 * size, size + 0.6), layout="constrained")
+    panels = figure.subplots(1, 2)
+    phi, rate = local_maps(state, radius)
+    disk, centre = _images(state)
+    for axes, values, colours, text in (
+        (panels[0], phi, "viridis", r"local packing fraction $\phi(x, y)$"),
+        (panels[1], rate, "plasma", r"local strain rate $\dot\gamma(x, y)\,\tau_e$"),
+    ):
+        drawn = _draw_disks(axes, state, values, colours, disk, centre)
+        bar: Any = figure.colorbar(drawn, ax=axes, extend="both", shrink=0.85, pad=0.02)
+        bar.formatter.set_powerlimits((-2, 3))
+        bar.formatter.set_useMathText(True)
+        axes.set_title(text)
+    figure.suptitle(
+        rf"{len(state)} disks, $\phi$ = {state.phi:.5g}, $\dot\gamma\tau_e$ = {_number(state.rate)}, "
+        rf"$\gamma$ = {state.strain:.5g}; circles of {radius:g} $d_s$"
+    )
+    save(figure, path, dpi=200)
+
+
+def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any, centre: Array) -> Any:
+    from matplotlib.collections import EllipseCollection
+
+    many, width = len(state) > OUTLINED, 2 * state.radii[disk]
+    drawn = EllipseCollection(
+        width, width, np.zeros(len(width)), units="xy", offsets=centre, offset_transform=axes.transData,
+        array=values[disk], cmap=colours, linewidths=0, edgecolors="none",
+    )  # fmt: skip
+    known = values[np.isfinite(values)]
+    if len(known):
+        drawn.set_clim(*np.quantile(known, [0.01, 0.99]))
+    drawn.set_rasterized(many)
+    axes.add_collection(drawn, autolim=False)
+    axes.set(xlim=(0, state.length), ylim=(0, state.length), aspect="equal", xticks=[], yticks=[])
+    axes.set(xlabel="$x$", ylabel="$y$")
+    return drawn
+
+
+def _images(state: State) -> tuple[Any, Array]:
+    """Return the images of disks that reach into the square 0 ≤ x, y ≤ L, and which disk each is of."""
+    L, x = state.length, state.wrapped().positions
+    shifts = [(a + b * state.box.cell[1, 0] / L, b) for b in (-1, 0, 1) for a in (-1, 0, 1)]
+    centres = x + L * np.array(shifts)[:, None]
+    margin = state.radii[:, None]
+    which, disk = np.nonzero(((centres > -margin) & (centres < L + margin)).all(-1))
+    return disk, centres[which, disk]
+
+
+# --- a ramp -------------------------------------------------------------------------------------------
+
+
+def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
+    """Draw Σ and P against the strain rate as it goes up (filled) and down (open) (VOT fig. 31).
+
+    Raises
+    ------
+    InputError
+        If ``run`` is not a ramp, or the figure cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    if run.settings["protocol"] != "ramp":
+        raise InputError(f"plot: the run is no ramp, but of the protocol {run.settings['protocol']!r}")
+    figure = Figure(figsize=(12.5, 5.4), layout="constrained")
+    panels = figure.subplots(1, 2)
+    rate = np.abs(run.rate)
+    up = np.diff(rate, prepend=run.settings["rate"]) >= 0
+    for axes, values, name in (
+        (panels[0], np.abs(run.stress), r"shear stress $\Sigma$  ($m/\tau_e^2$)"),
+        (panels[1], run.pressure, r"pressure $P$  ($m/\tau_e^2$)"),
+    ):
+        axes.set(xscale="log", yscale="log", xlabel=r"strain rate $\dot\gamma\tau_e$", ylabel=name)
+        for some, colour, face, text in ((up, STORAGE, STORAGE, "up"), (~up, LOSS, "white", "down")):
+            good = some & (values > 0) & (rate > 0)
+            axes.plot(rate[good], values[good], "o", color=colour, mfc=face, ms=4.5, mew=0.9, label=text)
+        _draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
+        axes.legend(frameon=False, loc="lower right")
+    figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings['kappa'])}", fontsize=12)
+    save(figure, path)
+
+
+def _draw_slopes(axes: Any, rate: Array, values: Array) -> None:
+    """Draw slope 2 below the slow end and slope 1 above the fast one: Bagnoldian and Newtonian flow."""
+    low, high = rate.min(), rate.max()
+    span = (high / low) ** 0.35
+    for slope, anchor, at, factor, side in ((2, low, span, 0.5, -1), (1, high, 1 / span, 2.0, 1)):
+        near = np.abs(np.log(rate / anchor)) < 0.2
+        height = factor * float(np.nanmedian(values[near])) if np.isfinite(values[near]).any() else np.nan
+        ends = anchor * np.array([1, at])
+        guide = height * (ends / anchor) ** slope
+        if np.isfinite(guide).all():
+            axes.plot(ends, guide, "--", color="0.4", lw=1)
+            middle = np.sqrt(ends.prod()), np.sqrt(guide.prod())
+            axes.annotate(f"slope {slope}", middle, (-6 * side, 6 * side), color="0.4", fontsize=9,
+                          textcoords="offset points", ha="right" if side > 0 else "left",
+                          va="bottom" if side > 0 else "top")  # fmt: skip
+
+
+# --- flow curves --------------------------------------------------------------------------------------
+
+AXES = {"rate": (r"\dot\gamma\tau_e", "log"), "Q": ("Q", "log"), "phi": (r"\phi", "linear")}
+CURVES: tuple[tuple[str, str, Callable[[Run], Any]], ...] = (
+    (r"$P^\mathrm{el}$  ($m/\tau_e^2$)", "log", lambda run: run.pressure_elastic),
+    (r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$", "log",
+     lambda run: run.settings["Q"] * run.pressure_elastic / run.rate),
+    (r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$", "log",
+     lambda run: run.pressure_elastic / run.rate**2),
+    (r"$R_v = \langle\delta v_x^2\rangle/\langle v_y^2\rangle$", "log", lambda run: run.banding),
+    ("contacts of a disk  $Z$", "log", lambda run: run.contacts),
+    (r"$\mu = \Sigma/P$", "linear", lambda run: run.friction),
+    (r"$\langle\dot\theta/\dot\gamma\rangle$", "linear", lambda run: run.rows["spin"] / run.rate),
+    (r"var$[\dot\theta/\dot\gamma]$", "log", lambda run: run.rows["spin_variance"] / run.rate**2),
+)  # fmt: skip
+
+
+def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
+    """Draw flow curves of steady runs (VOT figs. 1, 2, 12, 16, 20 and 22–24).
+
+    The abscissa is whichever of strain rate, Q and φ takes the most values; each combination of the others,
+    of models and of sizes is a curve. A point is the time mean over the last three quarters of a run, and
+    its error; of several runs alike, their mean and its standard error.
+
+    Raises
+    ------
+    InputError
+        If there are no runs, or a run is not at a steady strain rate, or the figure cannot be written.
+    """
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    if not runs:
+        raise InputError("plot: there are no runs")
+    for name, run in runs.items():
+        if run.settings["protocol"] != "steady":
+            raise InputError(f"plot: {name} is no steady run, but a {run.settings['protocol']}")
+    x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
+    others = [key for key in ("model", "particles", "phi", "Q", "rate") if key != x]
+    curves: dict[tuple, dict[float, list[Run]]] = {}
+    for run in runs.values():
+        kind = tuple(_setting(run, key) for key in others)
+        curves.setdefault(kind, {}).setdefault(_setting(run, x), []).append(run)
+    differ = [k for k, key in enumerate(others) if len({kind[k] for kind in curves}) > 1]
+    spins = any(run.rows["spin"].any() for run in runs.values())
+    shown = CURVES if spins else CURVES[:6]
+    figure = Figure(figsize=(3.9 * len(shown) // 2, 7.6), layout="constrained")
+    panels = figure.subplots(2, len(shown) // 2).ravel()
+    shades = colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
+    for (kind, points), shade in zip(sorted(curves.items()), shades, strict=True):
+        label = ", ".join(_parameter(others[k], kind[k]) for k in differ)
+        where = sorted(points)
+        for axes, (_, _, value) in zip(panels, shown, strict=True):
+            y, error = np.array([_point(points[w], value) for w in where]).T
+            axes.errorbar(where, y, error, color=shade, marker="o", ms=4, lw=1, capsize=2, label=label)
+    for axes, (name, scale, _) in zip(panels, shown, strict=True):
+        axes.set(xscale=AXES[x][1], xlabel=f"${AXES[x][0]}$", title=name)
+        y = np.concatenate([bars[0].get_ydata() for bars in axes.containers])
+        if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # ticks are poor on less than that
+            axes.set_yscale("log", nonpositive="mask")
+    same = [_parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ]
+    figure.suptitle(", ".join(same), fontsize=12)
+    if differ:
+        panels[len(shown) // 2 - 1].legend(loc="upper left", bbox_to_anchor=(1.02, 1), frameon=False)
+    save(figure, path)
+
+
+def _setting(run: Run, key: str) -> Any:
+    """Return a setting, to six digits: packing fractions are as exact as cells are."""
+    value = run.settings[key]
+    return float(f"{value:.6g}") if key in AXES else value
+
+
+def _parameter(key: str, value: Any) -> str:
+    if key == "model":
+        return _model(value)
+    return f"{value} disks" if key == "particles" else f"${AXES[key][0]}$ = {_number(value)}"
+
+
+def _point(alike: list[Run], value: Callable[[Run], Any]) -> Mean:
+    """Return mean and error of one run over time, or of several runs over runs."""
+    means = [run.mean(value(run)) for run in alike]
+    if len(means) == 1:
+        return means[0]
+    mean, error = errors([[m.value for m in means]])
+    return Mean(float(mean[0]), float(error[0]))

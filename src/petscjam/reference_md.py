@@ -1,0 +1,182 @@
+"""The slow twin of the molecular dynamics: forces, stress, energy and one time step by plain loops.
+
+Written apart from the fast code, for tests and to be read beside VOT. Every pair of disks and every image are
+tried at each evaluation. Units: ds, m, τe. Functions take a ``State`` and a ``Model``; ``masses`` are one
+number, or one for each disk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import floor, hypot
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Contact(NamedTuple):
+    """Disk i, the image of disk j that it touches, and what they do to each other.
+
+    ``r`` and ``v`` are r_ij = r_i − r_j and v_ij; ``elastic`` and ``dissipative`` the forces on i from j.
+    """
+
+    i: int
+    j: int
+    r: np.ndarray
+    v: np.ndarray
+    elastic: np.ndarray
+    dissipative: np.ndarray
+    torque_i: float
+    torque_j: float
+    heat: float
+
+
+def turned(vector):
+    """Return ẑ × vector."""
+    return np.array([-vector[1], vector[0]])
+
+
+def cross(a, b):
+    """Return ẑ·(a × b)."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def peculiar(state):
+    """Return v − γ̇ y x̂, (N, 2): the same for every image."""
+    fluctuations = state.velocities.copy()
+    for v, (_, y) in zip(fluctuations, state.positions, strict=True):
+        v[0] -= state.rate * y
+    return fluctuations
+
+
+def inside(state):
+    """Return positions and velocities of the images in 0 ≤ x, y < L, as lists of (x, y) and of (vx, vy)."""
+    L, positions, velocities = state.length, [], []
+    for (x, y), (vx, vy) in zip(state.positions.tolist(), state.velocities.tolist(), strict=True):
+        n = floor(y / L)
+        x -= n * state.strain * L
+        positions.append((x - floor(x / L) * L, y - n * L))
+        velocities.append((vx - n * state.rate * L, vy))
+    return positions, velocities
+
+
+def touching(state):
+    """Yield i, j, r_ij and v_ij of every contact; the cell is more than twice as wide as its disks."""
+    L = state.length
+    offset = (state.strain - round(state.strain)) * L  # whole cells of it are images in x
+    x, v = inside(state)
+    radii = state.radii.tolist()
+    for i in range(len(x)):
+        for j in range(i):
+            for m in (-1, 0, 1):
+                for n in (-1, 0, 1):
+                    rx = x[i][0] - x[j][0] - m * L - n * offset
+                    ry = x[i][1] - x[j][1] - n * L
+                    if hypot(rx, ry) < radii[i] + radii[j]:
+                        vx = v[i][0] - v[j][0] - n * state.rate * L
+                        yield i, j, np.array([rx, ry]), np.array([vx, v[i][1] - v[j][1]])
+
+
+def contacts(state, model):
+    """Yield every contact with its forces (VOT eqs. 2–7), the damping split in normal and tangential."""
+    for i, j, r, v in touching(state):
+        Ri, Rj, wi, wj = state.radii[i], state.radii[j], state.spins[i], state.spins[j]
+        d, distance = Ri + Rj, hypot(*r)
+        normal = r / distance
+        tangent = turned(normal)
+        elastic = (1 - distance / d) ** (model.exponent - 1) / d * normal
+        s_ji, s_ij = -r * Ri / d, r * Rj / d  # from the centres of i and of j to the contact point
+        if not model.rolls:
+            s_ji, s_ij = 0 * r, 0 * r
+        slip = v + wi * turned(s_ji) - wj * turned(s_ij)
+        dissipative = -model.normal * (slip @ normal) * normal - model.tangential * (slip @ tangent) * tangent
+        torques = cross(s_ji, dissipative), cross(s_ij, -dissipative)
+        yield Contact(i, j, r, v, elastic, dissipative, *torques, -dissipative @ slip)
+
+
+def disk_forces(state, model):
+    """Return the force (N, 2) and the torque (N,) on every disk: contacts, and the drag of the fluid."""
+    forces = -model.body * peculiar(state)
+    torques = -model.spin_drag * (state.spins + state.rate / 2)
+    for c in contacts(state, model):
+        forces[c.i] += c.elastic + c.dissipative
+        forces[c.j] -= c.elastic + c.dissipative
+        torques[c.i] += c.torque_i
+        torques[c.j] += c.torque_j
+    return forces, torques
+
+
+def pressure_tensor(state, model, masses=1.0):
+    """Return the elastic, dissipative and kinetic pressure, (2, 2) each (VOT eqs. 12–14).
+
+    First index force or velocity, second index separation or velocity.
+    """
+    elastic, dissipative, kinetic = np.zeros((3, 2, 2))
+    for c in contacts(state, model):
+        elastic += np.outer(c.elastic, c.r)
+        dissipative += np.outer(c.dissipative, c.r)
+    for m, v in zip(np.broadcast_to(masses, len(state)), peculiar(state), strict=True):
+        kinetic += m * np.outer(v, v)
+    return elastic / state.length**2, dissipative / state.length**2, kinetic / state.length**2
+
+
+def dissipation(state, model):
+    """Return the power turned into heat, by contacts and by the fluid.
+
+    With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the
+    couple that holds the fluid's vorticity.
+    """
+    heat = sum(c.heat for c in contacts(state, model))
+    for v, spin in zip(peculiar(state), state.spins, strict=True):
+        heat += model.body * v @ v + model.spin_drag * (spin + state.rate / 2) ** 2
+    return heat
+
+
+def inertia(state, masses=1.0):
+    """Return I = mR²/2 of every disk, (N,)."""
+    return masses * state.radii**2 / 2
+
+
+def energy(state, model, masses=1.0):
+    """Return elastic (VOT eq. 1), peculiar kinetic and rotational energy, together."""
+    total = 0.0
+    for i, j, r, _ in touching(state):
+        total += (1 - hypot(*r) / (state.radii[i] + state.radii[j])) ** model.exponent / model.exponent
+    kinetic = masses * np.sum(peculiar(state) ** 2, axis=1) / 2
+    return total + np.sum(kinetic + inertia(state, masses) * state.spins**2 / 2)
+
+
+def accelerations(state, model, masses=1.0):
+    """Return the acceleration (N, 2) and the angular acceleration (N,) of every disk (VOT eqs. 4 and 7)."""
+    forces, torques = disk_forces(state, model)
+    return forces / np.broadcast_to(masses, len(state))[:, None], torques / inertia(state, masses)
+
+
+def moved(state, dt, positions, velocities, spins):
+    """Return the state after ``dt``, the strain advanced."""
+    return replace(
+        state, positions=positions, velocities=velocities, spins=spins,
+        strain=state.strain + state.rate * dt, time=state.time + dt,
+    )  # fmt: skip
+
+
+def heun_step(state, model, dt, masses=1.0):
+    """Return the state after one step of VOT eqs. 21–24, two evaluations of the forces."""
+    x, v, w = state.positions, state.velocities, state.spins
+    f, a = accelerations(state, model, masses)
+    predicted = moved(state, dt, x + v * dt, v + f * dt, w + a * dt)
+    f1, a1 = accelerations(predicted, model, masses)
+    v1 = v + (f + f1) * dt / 2
+    return moved(state, dt, x + (v + v1) * dt / 2, v1, w + (a + a1) * dt / 2)
+
+
+def single_step(state, model, dt, before, masses=1.0):
+    """Return the state after one step and its ``accelerations``; ``before`` are those of the last step.
+
+    One evaluation a step: v̂ = v + f dt, x + v dt + f dt²/2, f′ of these, v + (f + f′) dt/2.
+    """
+    x, v, w = state.positions, state.velocities, state.spins
+    f, a = before
+    predicted = moved(state, dt, x + v * dt + f * dt**2 / 2, v + f * dt, w + a * dt)
+    f1, a1 = accelerations(predicted, model, masses)
+    return replace(predicted, velocities=v + (f + f1) * dt / 2, spins=w + (a + a1) * dt / 2), (f1, a1)

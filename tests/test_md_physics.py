@@ -1,0 +1,488 @@
+"""The fast disk dynamics: step by step the slow twin, and what the equations of motion demand."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from test_md_twin import (
+    LAW,
+    bounces_as_it_should,
+    by_other_images,
+    close,
+    disks,
+    drags_a_lone_disk,
+    never_parts,
+    strip,
+)
+
+from petscjam import reference_md as twin
+from petscjam.errors import SolverError
+from petscjam.md import kernels
+from petscjam.md.model import INTEGRATORS, MODELS, Model
+from petscjam.md.neighbours import CHUNK
+from petscjam.md.simulation import Simulation
+from petscjam.md.state import State, random_state
+
+EACH = pytest.mark.parametrize("integrator", INTEGRATORS)
+OTHERS = pytest.mark.parametrize("others", [{}, {"exponent": 2.5}, {"drag": 0.7, "spin_drag": 0.05}], ids=str)
+PRESSURE = {
+    "EXX": (0, 0, 0), "EXY": (0, 0, 1), "EYY": (0, 1, 1),
+    "DXX": (1, 0, 0), "DXY": (1, 0, 1), "DYX": (1, 1, 0), "DYY": (1, 1, 1),
+    "KXX": (2, 0, 0), "KXY": (2, 0, 1), "KYY": (2, 1, 1),
+}  # fmt: skip
+
+
+def advance(simulation, steps):
+    """Make steps at the rate of the moment."""
+    strains = simulation.strain + simulation.rate * simulation.dt * np.arange(1, steps + 1)
+    simulation.advance(strains, np.full(steps, simulation.rate))
+
+
+def slow(state, model, dt, integrator, masses=1.0, anew=False):
+    """Every state of the slow twin, from the first on; ``anew``: no force is kept from the step before."""
+    before = None
+    while True:
+        yield state
+        if integrator == "heun":
+            state = twin.heun_step(state, model, dt, masses)
+        else:
+            if anew or before is None:
+                before = twin.accelerations(state, model, masses)
+            state, before = twin.single_step(state, model, dt, before, masses)
+
+
+def fast(integrator):
+    """The same of the fast code, one call a step."""
+
+    def run(state, model, dt):
+        simulation = Simulation(state, model, dt, integrator)
+        while True:
+            yield simulation.state
+            advance(simulation, 1)
+
+    return run
+
+
+def apart(a, b):
+    """Largest difference of two states, whatever images they are given by."""
+    L = a.length
+    dx, dv = a.positions - b.positions, a.velocities - b.velocities
+    rows = np.rint(dx[:, 1] / L)
+    dx[:, 1] -= rows * L
+    dx[:, 0] -= rows * a.strain * L
+    dx[:, 0] -= np.rint(dx[:, 0] / L) * L
+    dv[:, 0] -= rows * a.rate * L
+    return max(np.abs(dx).max(), np.abs(dv).max(), np.abs(a.spins - b.spins).max())
+
+
+# The slow twin
+
+
+@EACH
+@OTHERS
+@pytest.mark.parametrize("law", LAW)
+def test_steps_are_those_of_the_slow_twin(law, others, integrator):
+    """Lists of pairs come and go; the one-evaluation scheme begins anew with each call."""
+    model, masses = Model(law, 2.0, **others), np.linspace(0.5, 2.0, 24)
+    state, dt = disks(3, 24), 0.01
+    simulation = Simulation(state, model, dt, integrator, masses=masses)
+    for exact in islice(slow(state, model, dt, integrator, masses, anew=True), 20):
+        assert apart(simulation.state, exact) < 1e-12
+        assert sum(simulation.energy()) == pytest.approx(twin.energy(exact, model, masses), abs=1e-11)
+        advance(simulation, 1)
+    assert simulation.rebuilds > 1
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_a_call_for_many_steps(name, integrator):
+    """On one list the one-evaluation scheme keeps the force of the step before."""
+    model, state, dt = Model(MODELS[name], 2.0), slowed(disks(4, 60)), 0.01
+    simulation = with_a_wide_list(state, model, dt, integrator)
+    advance(simulation, 12)
+    assert simulation.rebuilds == 2
+    assert apart(simulation.state, next(islice(slow(state, model, dt, integrator), 12, None))) < 1e-12
+
+
+def slowed(state):
+    """A tenth of the motion."""
+    rate = state.rate / 10
+    return replace(state, velocities=state.velocities / 10, spins=state.spins / 10, rate=rate)
+
+
+def with_a_wide_list(state, model, dt, integrator="heun"):
+    simulation = Simulation(state, model, dt, integrator)
+    simulation.skin = 0.5
+    simulation.rebuild()
+    return simulation
+
+
+def trapezoid(values):
+    return (values[0] + values[-1]) / 2 + sum(values[1:-1])
+
+
+@OTHERS
+@pytest.mark.parametrize("law", LAW)
+def test_sums_are_those_of_the_slow_twin(law, others):
+    """Pressure tensor, heat, work and contacts, summed over the states between steps."""
+    model, masses = Model(law, 2.0, **others), np.linspace(0.5, 2.0, 24)
+    state, dt, steps = disks(5, 24), 0.01, 15
+    simulation = Simulation(state, model, dt, masses=masses)
+    advance(simulation, steps)
+    total, _, _ = simulation.collect()
+    states = list(islice(slow(state, model, dt, "heun", masses), steps + 1))
+    pressure = trapezoid([np.array(twin.pressure_tensor(s, model, masses)) for s in states]) * state.length**2
+    for name, place in PRESSURE.items():
+        assert total[getattr(kernels, name)] == pytest.approx(pressure[place], abs=1e-10), name
+    couples = [model.spin_drag * s.rate / 2 * np.sum(s.spins + s.rate / 2) for s in states]
+    heat = trapezoid([twin.dissipation(s, model) for s in states])
+    assert total[kernels.HEAT] == pytest.approx(heat, abs=1e-10)
+    work = trapezoid(couples) - state.rate * pressure.sum(0)[0, 1]
+    assert total[kernels.WORK] == pytest.approx(work, abs=1e-10)
+    assert total[kernels.TOUCHING] == sum(len(list(twin.touching(s))) for s in states[:-1])
+
+
+def tiled(state, times):
+    """The same flow in a cell ``times`` as wide and as high."""
+    L = state.length
+    nx, ny = (a.ravel()[:, None] for a in np.meshgrid(np.arange(times), np.arange(times)))
+    x = np.stack([state.positions[:, 0] + (nx + ny * state.strain) * L, state.positions[:, 1] + ny * L], 2)
+    v = np.stack([state.velocities[:, 0] + ny * state.rate * L, state.velocities[:, 1] + 0 * ny], 2)
+    return State(
+        x.reshape(-1, 2), v.reshape(-1, 2), np.tile(state.spins, times**2), np.tile(state.radii, times**2),
+        times * L, state.strain, state.rate, state.time,
+    )  # fmt: skip
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_a_flow_repeated_in_a_large_cell_is_the_same_flow(name, integrator):
+    """With as many disks that loops and lists are cut into pieces."""
+    model, state, times = Model(MODELS[name], 2.0, drag=0.1), disks(6, 20), 15
+    assert len(state) * times**2 > CHUNK
+    small = Simulation(state, model, 0.01, integrator)
+    large = Simulation(tiled(state, times), model, 0.01, integrator)
+    for simulation in (small, large):
+        for _ in range(10):
+            advance(simulation, 1)
+    same_cell = [replace(s, length=state.length) for s in (large.state, tiled(small.state, times))]
+    assert apart(*same_cell) < 1e-11
+    one, many = small.collect(), large.collect()
+    assert close(many[0], times**2 * one[0], 1e-9)
+    assert (many[1] == times**2 * one[1]).all()
+    assert (many[2] == times**2 * one[2]).all()
+
+
+# Collisions
+
+
+@EACH
+@pytest.mark.parametrize("Q", [1.0, 2.0, 10.0])
+def test_head_on_collision(Q, integrator):
+    bounces_as_it_should(fast(integrator), Q)
+
+
+@EACH
+def test_overdamped_disks_never_part(integrator):
+    never_parts(fast(integrator))
+
+
+@pytest.mark.parametrize("bin", [2, 20, 78, 97])
+@pytest.mark.parametrize("place", [0.3, 2.0, 4.4])
+def test_angles_of_a_collision(bin, place):
+    """ϑ turns v_ij onto r_ij (VOT eqs. 26, 27); without damping disks part at 180° − ϑ."""
+    angle = np.radians(-180 + 3.6 * (bin + 0.5))
+    r, v = (np.array([np.cos(a), np.sin(a)]) for a in (place, place - angle))
+    x = np.array([[5.0, 5.0], [5.0, 5.0] + (1 + 1e-6) * r])[::-1]
+    state = State(x, [1e-3 * v, [0.0, 0.0]], np.zeros(2), np.full(2, 0.5), 10.0)
+    simulation = Simulation(state, Model(MODELS["CD_n"], 1e9))
+    advance(simulation, 2000)
+    _, (made, broken, _), (making, breaking) = simulation.collect()
+    assert made == broken == 1
+    assert making[bin] == 1
+    assert breaking[(149 - bin) % 100] == 1
+
+
+@EACH
+def test_drag_on_a_lone_disk(integrator):
+    coarse, fine = (drags_a_lone_disk(fast(integrator), dt) for dt in (0.05, 0.025))
+    assert coarse == pytest.approx(4 * fine, rel=0.1)
+    assert coarse < 1e-3
+
+
+# Conservation, and orders of convergence
+
+
+def lattice():
+    """A compressed square lattice with a little motion: for a while no contact is made or broken."""
+    rng, n, rate = np.random.default_rng(0), 6, 0.05
+    x = 0.9 * np.stack(np.meshgrid(np.arange(n), np.arange(n)), -1).reshape(-1, 2)
+    x, v = x + rng.uniform(-0.01, 0.01, x.shape), rng.normal(0, 0.02, x.shape)
+    v[:, 0] += rate * x[:, 1]
+    return State(x, v, rng.normal(0, 0.1, n * n), np.full(n * n, 0.5), 0.9 * n, 0.02, rate)
+
+
+def refined(start, model, integrator, observe, time=0.5, steps=(16, 32, 64)):
+    """Return ``observe(simulation)`` after ``time`` in these many steps; nothing may touch or part."""
+    found = []
+    for n in steps:
+        simulation = Simulation(start, model, time / n, integrator)
+        advance(simulation, n)
+        total, counts, _ = simulation.collect()
+        assert (counts == 0).all()
+        found.append(observe(simulation, total))
+    return found
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_integrators_are_of_second_order(name, integrator):
+    """Half the step, a quarter of the change, while contacts stay what they are."""
+    model = Model(MODELS[name], 2.0, drag=0.1, spin_drag=0.01)
+    a, b, c = refined(lattice(), model, integrator, lambda simulation, _: simulation.state)
+    assert apart(a, b) == pytest.approx(4 * apart(b, c), rel=0.1)
+    assert apart(b, c) > 1e-8
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_the_energy_budget_closes_to_second_order(name, integrator):
+    """Change of energy = work of the shear stress − heat."""
+    model, start = Model(MODELS[name], 2.0, drag=0.1, spin_drag=0.01), lattice()
+    before = sum(Simulation(start, model).energy())
+
+    def missing(simulation, total):
+        power = total[kernels.WORK] - total[kernels.HEAT]
+        return sum(simulation.energy()) - before - power * simulation.dt
+
+    a, b, c = refined(start, model, integrator, missing)
+    assert a == pytest.approx(4 * b, rel=0.2)
+    assert b == pytest.approx(4 * c, rel=0.1)
+
+
+def angular_momentum(state):
+    x, v = state.positions, state.velocities
+    return np.sum(x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]) + twin.inertia(state) @ state.spins
+
+
+def test_angular_momentum():
+    """Of a cluster in the open: VOT's integrator to second order, one evaluation a step to rounding."""
+    start, model = strip(0.95), Model(MODELS["CD_rot"], 1.0)
+    x = np.where(start.positions < start.length / 2, start.positions + start.length, start.positions)
+    start = replace(start, positions=x, velocities=0.1 * start.peculiar, length=20.0, rate=0.0, strain=0.0)
+
+    def change(simulation, _):
+        return angular_momentum(simulation.state) - angular_momentum(start)
+
+    coarse, fine = refined(start, model, "heun", change, steps=(64, 128))
+    assert coarse == pytest.approx(4 * fine, rel=0.1)
+    assert abs(fine) > 1e-8
+    assert refined(start, model, "single", change) == pytest.approx(np.zeros(3), abs=1e-13)
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_momentum_is_conserved_to_rounding(name, integrator):
+    """Of the motion against the linear profile, which is the same for every image."""
+    state = disks(7, 24)
+    state = replace(state, velocities=state.velocities - state.peculiar.mean(0))
+    simulation = Simulation(state, Model(MODELS[name], 1.0), 0.02, integrator)
+    advance(simulation, 500)
+    assert simulation.rebuilds > 10
+    assert np.abs(simulation.state.peculiar.mean(0)).max() < 1e-13
+
+
+# Invariance
+
+
+def after(state, integrator, steps=20):
+    simulation = Simulation(state, Model(MODELS["CD_rot"], 1.0), 0.01, integrator)
+    advance(simulation, steps)
+    return simulation.state, simulation.collect()[0]
+
+
+@EACH
+@pytest.mark.parametrize("seed", range(5))
+def test_any_image_will_do(seed, integrator):
+    state = disks(seed, 36)
+    other = by_other_images(state, np.random.default_rng(seed).integers(-4, 5, (36, 2)))
+    (one, sums), (two, others) = after(state, integrator), after(other, integrator)
+    assert apart(one, two) < 1e-12
+    assert close(others, sums)
+
+
+def shifted(state, x, y):
+    along = np.array([state.rate * y, 0.0])
+    return replace(state, positions=state.positions + np.array([x, y]), velocities=state.velocities + along)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_origin_is_anywhere(seed):
+    """The new frame moves with the flow at its origin."""
+    state, (x, y) = disks(seed, 36), np.random.default_rng(seed).uniform(-5, 5, 2)
+    (one, sums), (two, others) = after(state, "heun"), after(shifted(state, x, y), "heun")
+    assert apart(shifted(one, x + state.rate * y * one.time, y), two) < 1e-11
+    assert close(others, sums)
+
+
+def test_the_order_of_the_disks_does_not_matter():
+    state, order = disks(8, 24), np.random.default_rng(0).permutation(24)
+
+    def shuffled(state):
+        arrays = ("positions", "velocities", "spins", "radii")
+        return replace(state, **{name: getattr(state, name)[order] for name in arrays})
+
+    (one, sums), (two, others) = after(state, "heun"), after(shuffled(state), "heun")
+    assert apart(shuffled(one), two) < 1e-12
+    assert close(others, sums)
+
+
+@pytest.mark.parametrize("bulk", ["scale", "profile", "boundary"])
+def test_a_change_of_the_rate(bulk):
+    """Velocities and spins scaled (VOT eqs. 40, 41), moved with the linear profile, or left as they are.
+
+    All this in the square cell; that some disks have left it since pairs were listed must not matter.
+    """
+    state, model, dt = slowed(disks(9, 60)), Model(MODELS["CD_rot"], 1.0), 0.01
+    rising = np.argmax(state.velocities[:, 1])
+    state = shifted(state, 0.0, state.length - state.positions[rising, 1] - 1e-6)
+    simulation = with_a_wide_list(state, model, dt)
+    advance(simulation, 12)
+    assert simulation.rebuilds == 2
+    now = simulation.state.wrapped()
+    assert simulation.state.positions[rising, 1] > state.length
+    new = 1.5 * now.rate
+    v, w = now.velocities.copy(), now.spins
+    if bulk == "scale":
+        v, w = v * new / now.rate, w * new / now.rate
+    if bulk == "profile":
+        v[:, 0] += (new - now.rate) * now.positions[:, 1]
+    changed = replace(now, velocities=v, spins=w, rate=new)
+    expected = next(islice(slow(changed, model, dt, "heun"), 3, None))
+    simulation.collect()
+    simulation.advance(now.strain + new * dt * np.arange(1, 4), np.full(3, new), bulk)
+    assert apart(simulation.state, expected) < 1e-12
+    gained = twin.energy(changed, model) - twin.energy(now, model)
+    assert simulation.collect()[0][kernels.JUMPS] == pytest.approx(gained, abs=1e-11)
+
+
+@EACH
+@pytest.mark.parametrize("bulk", ["scale", "profile", "boundary"])
+def test_the_energy_budget_closes_while_the_rate_changes(bulk, integrator):
+    """What changes of the rate bring is booked apart."""
+    gaps = []
+    for steps in (32, 64, 128):
+        simulation = Simulation(lattice(), Model(MODELS["CD_rot"], 2.0), 0.5 / steps, integrator)
+        before = sum(simulation.energy())
+        rates = 0.05 * np.cos(2 * simulation.dt * (np.arange(steps) + 0.5))
+        simulation.advance(simulation.strain + np.cumsum(rates * simulation.dt), rates, bulk)
+        total, _, _ = simulation.collect()
+        work, heat = total[kernels.WORK] * simulation.dt, total[kernels.HEAT] * simulation.dt
+        gaps.append(abs(sum(simulation.energy()) - before - total[kernels.JUMPS] - work + heat))
+    assert gaps[2] < 0.6 * gaps[1] < 0.6**2 * gaps[0]
+    assert gaps[2] < 3e-3 * heat
+
+
+# Flows
+
+
+def flow(name, integrator="heun", n=64, rate=0.01, dt=0.05, steps=4000):
+    """A flow far from its start at random positions."""
+    start = random_state(n, 0.82, 1)
+    v = np.column_stack([rate * start.positions[:, 1], np.zeros(n)])
+    simulation = Simulation(replace(start, velocities=v, rate=rate), Model(MODELS[name], 1.0), dt, integrator)
+    advance(simulation, steps)
+    simulation.collect()
+    return simulation
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_contacts_are_twice_the_contact_time(name, integrator):
+    """Z = 2 × total contact time/(N × window), contacts still open counted: exact, in whole steps."""
+    simulation, window = flow(name, integrator), 3000
+    moment = integrator == "single"  # sums are taken at the ends of steps, not at their beginnings
+    older = simulation.checkpoint()["contacts"][:, 2]
+    before = np.sum(simulation.steps + moment - older)
+    advance(simulation, window)
+    total, (made, broken, lasted), angles = simulation.collect()
+    still = simulation.checkpoint()["contacts"][:, 2]
+    assert made > 100
+    assert len(older) + made == len(still) + broken
+    assert angles.sum(1).tolist() == [made, broken]
+    assert total[kernels.TOUCHING] == lasted + np.sum(simulation.steps + moment - still) - before
+    assert 2 < 2 * total[kernels.TOUCHING] / (64 * window) < 5
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_contacts_are_those_of_the_slow_twin(name):
+    simulation = flow(name)
+    for _ in range(3):
+        advance(simulation, 50)
+        simulation.collect()
+        listed = {frozenset(pair) for pair in simulation.checkpoint()["contacts"][:, :2].tolist()}
+        assert listed == {frozenset((i, j)) for i, j, _, _ in twin.touching(simulation.state)}
+
+
+def test_what_is_seen_of_disks_and_contacts():
+    """Spins, velocities (VOT eqs. 29, 35, 36), contact velocities (eqs. 31–34, the arms of eq. 6), layers."""
+    simulation = Simulation(disks(10, 40), Model(MODELS["CD_rot"], 1.0), 0.01)
+    advance(simulation, 7)
+    simulation.collect()
+    layers, moments, scatter = np.zeros((3, 4)), np.zeros((5, 4)), np.zeros(4)
+    sums = simulation.observe(layers, moments, scatter)
+    state, rows = simulation.state, []
+    for i, j, r, v in twin.touching(state):
+        d, out = state.radii[i] + state.radii[j], -r / np.hypot(*r)
+        rolling = np.hypot(*r) / d * (state.spins[i] * state.radii[i] + state.spins[j] * state.radii[j])
+        across = v @ twin.turned(out)
+        rows.append([across, rolling, across + rolling, v @ out])
+    rows, c = np.array(rows), twin.peculiar(state)
+    expected = [state.spins.sum(), (state.spins**2).sum(), *(c**2).sum(0), (rows[:, 3] ** 2).sum()]
+    assert sums == pytest.approx([*expected, (rows[:, 0] ** 2).sum(), len(rows)])
+    assert moments[0] == pytest.approx((rows / state.rate).sum(0))
+    assert moments[1:] == pytest.approx(rows.T @ rows / state.rate**2)
+    assert np.abs(rows / state.rate - scatter).max(1).min() < 1e-10
+    square = state.wrapped()
+    layer = (square.positions[:, 1] / state.length * 4).astype(int)
+    for k, weight in enumerate((np.ones(40), square.velocities[:, 0], np.pi * state.radii**2)):
+        assert layers[k] == pytest.approx(np.bincount(layer, weight, 4))
+
+
+@EACH
+@pytest.mark.parametrize("name", MODELS)
+def test_the_energy_budget_of_a_flow(name, integrator):
+    """Forces jump as contacts are made and broken: what is missing falls with the time step."""
+    shares = []
+    for dt in (0.05, 0.0125):
+        simulation = flow(name, integrator, dt=dt, steps=round(200 / dt))
+        before = sum(simulation.energy())
+        advance(simulation, round(200 / dt))
+        total, _, _ = simulation.collect()
+        gained, heat = sum(simulation.energy()) - before, total[kernels.HEAT] * dt
+        shares.append(abs(gained - total[kernels.WORK] * dt + heat) / heat)
+    assert shares[0] < 5e-3
+    assert shares[1] < shares[0] / 4
+
+
+@EACH
+def test_disks_turn_with_half_the_vorticity(integrator):
+    simulation, spins = flow("CD_rot", integrator, n=256, steps=2000), []
+    for _ in range(200):
+        advance(simulation, 100)
+        spins.append(simulation.state.spins.mean())
+    blocks = np.mean(np.reshape(spins, (10, -1)), axis=1) / simulation.rate
+    error = blocks.std(ddof=1) / np.sqrt(len(blocks))
+    assert error < 0.02
+    assert blocks.mean() == pytest.approx(-0.5, abs=0.02 + 3 * error)
+
+
+def test_disks_that_leave_their_neighbours_within_a_step_are_refused():
+    """No list of pairs holds for a step: an error, not an endless loop."""
+    state = disks(0, 24)
+    simulation = Simulation(
+        replace(state, velocities=30 * state.velocities), Model(MODELS["CD_rot"], 1.0), 0.05
+    )
+    with pytest.raises(SolverError, match="take a smaller dt"):
+        advance(simulation, 10)
