@@ -7,7 +7,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
 READY_DOCS := $(if $(READY),.venv/.ready-docs)
 export PYTHON
 
-.PHONY: help setup demo figures test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps clean
+.PHONY: help setup demo figures test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -67,6 +67,10 @@ bench-scaling: $(READY) ## strong and weak scaling of spectra on 1 and 2 ranks, 
 
 bench-lammps: $(READY) ## minimisation against LAMMPS, in an environment of its own (ten minutes)
 	$(PYTHON) benchmarks/minimise_lammps.py
+
+bench-shear: $(READY) ## steps a second of sheared disks against LAMMPS (ten minutes); steady states, too
+	$(PYTHON) benchmarks/shear_lammps.py
+	$(PYTHON) benchmarks/shear_lammps.py --physics
 
 clean: ## remove what was built or computed, but not .venv
 	rm -rf docs/_build docs/_generated build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

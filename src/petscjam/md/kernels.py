@@ -196,32 +196,41 @@ def _drag(run, q, F, R, law, rate, sums):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _kinetic(run, q, m, rate, sums):
-    """Sum the products of peculiar velocities (VOT eq. 14)."""
-    xx = xy = yy = 0.0
-    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+def kinetic(q, m, rate, sums):
+    """Sum the products of peculiar velocities (VOT eq. 14) into the last row of ``sums``."""
+    for a in range(len(q)):
         x, y = q[a, 2] - rate * q[a, 1], q[a, 3]
-        xx, xy, yy = xx + m[a] * x * x, xy + m[a] * x * y, yy + m[a] * y * y
-    sums[run, KXX], sums[run, KXY], sums[run, KYY] = xx, xy, yy
+        sums[-1, KXX] += m[a] * x * x
+        sums[-1, KXY] += m[a] * x * y
+        sums[-1, KYY] += m[a] * y * y
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _predict(run, disks, dt, scheme, shear, room):
+def _predict(run, disks, dt, scheme, rate, shear, room, sums):
     """Predict where disks go (VOT eqs. 21, 22, or to second order); return how many leave their room.
 
-    ``shear`` is the strain since the list was built.
+    ``shear`` is the strain since the list was built. On the way, sum the products of peculiar velocities (VOT
+    eq. 14), now (HEUN) or as predicted (SINGLE).
     """
     q, p, F, m, home = disks.q, disks.p, disks.F, disks.m, disks.home
-    half = 0.5 * dt * dt if scheme == SINGLE else 0.0
-    left = 0
+    half, later = (0.5 * dt, 1.0) if scheme == SINGLE else (0.0, 0.0)
+    left, xx, xy, yy = 0, 0.0, 0.0, 0.0
     for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
-        X, Y = F[a, 0] / m[a], F[a, 1] / m[a]
-        x, y = q[a, 0] + dt * q[a, 2] + half * X, q[a, 1] + dt * q[a, 3] + half * Y
-        p[a, 0], p[a, 1] = x, y
-        p[a, 2], p[a, 3] = q[a, 2] + dt * X, q[a, 3] + dt * Y
-        p[a, 4] = q[a, 4] + dt * F[a, 2] / m[a]
+        gain = dt / m[a]
+        ux, uy = gain * F[a, 0], gain * F[a, 1]
+        x = q[a, 0] + dt * q[a, 2] + half * ux
+        y = q[a, 1] + dt * q[a, 3] + half * uy
+        p[a, 0] = x
+        p[a, 1] = y
+        p[a, 2] = q[a, 2] + ux
+        p[a, 3] = q[a, 3] + uy
+        p[a, 4] = q[a, 4] + gain * F[a, 2]
+        cx = q[a, 2] + later * ux - rate * (q[a, 1] + later * (y - q[a, 1]))
+        cy = q[a, 3] + later * uy
+        xx, xy, yy = xx + m[a] * cx * cx, xy + m[a] * cx * cy, yy + m[a] * cy * cy
         dx, dy = x - shear * y - home[a, 0], y - home[a, 1]
         left += dx * dx + dy * dy > room * room
+    sums[run, KXX], sums[run, KXY], sums[run, KYY] = xx, xy, yy
     return left
 
 
@@ -278,8 +287,6 @@ def _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events):
     _add_run(run, q, F, pairs, law, measure, step, sums, events)
     if law.body != 0.0 or law.spin_drag != 0.0:
         _drag(run, q, F, disks.R, law, rate, sums)
-    if measure:
-        _kinetic(run, q, disks.m, rate, sums)
 
 
 @njit(cache=True)
@@ -295,15 +302,15 @@ def _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, eve
 
 
 @njit(cache=True)
-def _predict_runs(disks, dt, scheme, shear, room, left):
+def _predict_runs(disks, dt, scheme, rate, shear, room, sums, left):
     for run in range(len(left)):
-        left[run] = _predict(run, disks, dt, scheme, shear, room)
+        left[run] = _predict(run, disks, dt, scheme, rate, shear, room, sums)
 
 
 @njit(cache=True, parallel=True)
-def _predict_runs_threaded(disks, dt, scheme, shear, room, left):
+def _predict_runs_threaded(disks, dt, scheme, rate, shear, room, sums, left):
     for run in prange(len(left)):
-        left[run] = _predict(run, disks, dt, scheme, shear, room)
+        left[run] = _predict(run, disks, dt, scheme, rate, shear, room, sums)
 
 
 @njit(cache=True)
@@ -389,9 +396,9 @@ def advance(
         shear = strains[k + 1] - built
         room = 0.5 * (skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
         if threads:
-            _predict_runs_threaded(disks, dt, scheme, shear, max(room, 0.0), left)
+            _predict_runs_threaded(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
         else:
-            _predict_runs(disks, dt, scheme, shear, max(room, 0.0), left)
+            _predict_runs(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
         if room <= 0.0 or left.sum() > 0:
             return k
         if scheme == HEUN:

@@ -173,6 +173,8 @@ class Simulation:
             d.q, d.F, d, self._pairs, self._law, self.L, self.strain, self.rate, self.threads > 1, True,
             self.steps, self._sums, self._events,
         )  # fmt: skip
+        self._sums[:, kernels.KXX : kernels.WORK] = 0.0
+        kernels.kinetic(d.q, d.m, self.rate, self._sums)
         kernels.book(self._sums, self.rate, now)
         return now
 
