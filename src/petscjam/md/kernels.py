@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petscjam.box import Array
 from petscjam.md.neighbours import CHUNK
 
-BATCH = 128
+BATCH = 256
 BINS = 100
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 HEUN, SINGLE = 0, 1
@@ -72,9 +72,22 @@ def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent):
 
 
 @njit(cache=True, error_model="numpy")
-def _event(c, rx, ry, vx, vy, pairs, step, counts, angles):
+def separation(c, q, pairs, L, strain, rate):
+    """Return rji and vji of pair c, with the image of j that is meant."""
+    a, b, image = pairs.i[c], pairs.j[c], c - pairs.runs[-1]
+    x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
+    if image >= 0:
+        x += (pairs.nx[image] + pairs.ny[image] * strain) * L
+        y += pairs.ny[image] * L
+        vx += pairs.ny[image] * rate * L
+    return x, y, vx, vy
+
+
+@njit(cache=True, error_model="numpy")
+def _event(c, q, pairs, L, strain, rate, step, counts, angles):
     """Book that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
-    angle = np.arctan2(vx * ry - vy * rx, vx * rx + vy * ry)  # the signs of rji and vji cancel
+    x, y, vx, vy = separation(c, q, pairs, L, strain, rate)
+    angle = np.arctan2(vx * y - vy * x, vx * x + vy * y)  # the signs of rji and vji cancel
     bin = min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
     if pairs.touching[c]:
         counts[1] += 1
@@ -89,13 +102,17 @@ def _event(c, rx, ry, vx, vy, pairs, step, counts, angles):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_run(run, q, F, pairs, law, measure, step, sums, events):
-    """Add the pairs of a run, in batches: in scratch arrays, overwritten, the main loop vectorises."""
+def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, step, sums, events):
+    """Add a range of pairs, in batches: in scratch arrays, overwritten, the main loop vectorises.
+
+    ``part`` is the row of ``sums`` and ``events`` that they belong to; those of the last one have images.
+    """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
     normal, tangential, rolls, exponent = law.normal, law.tangential, law.rolls, law.exponent
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
-    for start in range(pairs.runs[run], pairs.runs[run + 1], BATCH):
-        n = min(BATCH, pairs.runs[run + 1] - start)
+    images = pairs.runs[-1]
+    for start in range(first, last, BATCH):
+        n = min(BATCH, last - start)
         i, j = pairs.i[start : start + n], pairs.j[start : start + n]
         inverse, touching = pairs.inverse[start : start + n], pairs.touching[start : start + n]
         for c in range(n):
@@ -103,6 +120,12 @@ def _add_run(run, q, F, pairs, law, measure, step, sums, events):
             X[c], Y[c] = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
             U[c], V[c] = q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
             W[c] = q[a, 4] + q[b, 4]
+        if start >= images:
+            for c in range(n):
+                row = pairs.ny[start - images + c]
+                X[c] += (pairs.nx[start - images + c] + row * strain) * L
+                Y[c] += row * L
+                U[c] += row * rate * L
         if measure:
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
@@ -119,11 +142,17 @@ def _add_run(run, q, F, pairs, law, measure, step, sums, events):
             if changed:
                 for c in range(n):
                     if V[c] != touching[c]:
-                        a, b = i[c], j[c]
-                        place, (dx, dy) = start + c, (q[b, 0] - q[a, 0], q[b, 1] - q[a, 1])
-                        dvx, dvy = q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
-                        counts, angles = events.counts[run], events.angles[run]
-                        _event(place, dx, dy, dvx, dvy, pairs, step, counts, angles)
+                        _event(
+                            start + c,
+                            q,
+                            pairs,
+                            L,
+                            strain,
+                            rate,
+                            step,
+                            events.counts[part],
+                            events.angles[part],
+                        )
         else:
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
@@ -140,44 +169,9 @@ def _add_run(run, q, F, pairs, law, measure, step, sums, events):
             F[b, 0] -= fx
             F[b, 1] -= fy
             F[b, 2] += torque
-    sums[run, EXX], sums[run, EXY], sums[run, EYY] = exx, exy, eyy
-    sums[run, DXX], sums[run, DXY], sums[run, DYX], sums[run, DYY] = dxx, dxy, dyx, dyy
-    sums[run, TOUCHING], sums[run, HEAT], sums[run, WORK] = count, heat, 0.0
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_rest(q, F, pairs, law, L, strain, rate, measure, step, sums, events):
-    """Add the pairs that join two runs, or a disk and an image."""
-    sums[-1] = 0.0
-    first = pairs.runs[-1]
-    for k in range(len(pairs.nx)):
-        c = first + k
-        a, b, inverse = pairs.i[c], pairs.j[c], pairs.inverse[c]
-        x = q[b, 0] - q[a, 0] + (pairs.nx[k] + pairs.ny[k] * strain) * L
-        y = q[b, 1] - q[a, 1] + pairs.ny[k] * L
-        vx, vy = q[b, 2] - q[a, 2] + pairs.ny[k] * rate * L, q[b, 3] - q[a, 3]
-        turn = law.rolls * (q[a, 4] + q[b, 4]) * inverse
-        ux, uy = vx + turn * y, vy - turn * x
-        spring, gx, gy, touch = _contact(x, y, ux, uy, inverse, law.normal, law.tangential, law.exponent)
-        X, Y, T = gx - spring * x, gy - spring * y, 2.0 * law.rolls * inverse * (x * gy - y * gx)
-        F[a, 0] += X
-        F[a, 1] += Y
-        F[a, 2] += T
-        F[b, 0] -= X
-        F[b, 1] -= Y
-        F[b, 2] += T
-        if measure:
-            sums[-1, EXX] += spring * x * x
-            sums[-1, EXY] += spring * x * y
-            sums[-1, EYY] += spring * y * y
-            sums[-1, DXX] -= gx * x
-            sums[-1, DXY] -= gx * y
-            sums[-1, DYX] -= gy * x
-            sums[-1, DYY] -= gy * y
-            sums[-1, TOUCHING] += touch
-            sums[-1, HEAT] += gx * ux + gy * uy
-            if touch != pairs.touching[c]:
-                _event(c, x, y, vx, vy, pairs, step, events.counts[-1], events.angles[-1])
+    sums[part, EXX], sums[part, EXY], sums[part, EYY] = exx, exy, eyy
+    sums[part, DXX], sums[part, DXY], sums[part, DYX], sums[part, DYY] = dxx, dxy, dyx, dyy
+    sums[part, TOUCHING], sums[part, HEAT], sums[part, WORK] = count, heat, 0.0
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -214,7 +208,7 @@ def _predict(run, disks, dt, scheme, rate, shear, room, sums):
     """
     q, p, F, m, home = disks.q, disks.p, disks.F, disks.m, disks.home
     half, later = (0.5 * dt, 1.0) if scheme == SINGLE else (0.0, 0.0)
-    left, xx, xy, yy = 0, 0.0, 0.0, 0.0
+    left = xx = xy = yy = 0.0
     for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
         gain = dt / m[a]
         ux, uy = gain * F[a, 0], gain * F[a, 1]
@@ -229,7 +223,9 @@ def _predict(run, disks, dt, scheme, rate, shear, room, sums):
         cy = q[a, 3] + later * uy
         xx, xy, yy = xx + m[a] * cx * cx, xy + m[a] * cx * cy, yy + m[a] * cy * cy
         dx, dy = x - shear * y - home[a, 0], y - home[a, 1]
-        left += dx * dx + dy * dy > room * room
+        left += 1.0 if dx * dx + dy * dy > room * room else 0.0
+    if scheme == SINGLE:
+        F[run * CHUNK : (run + 1) * CHUNK] = 0.0
     sums[run, KXX], sums[run, KXY], sums[run, KYY] = xx, xy, yy
     return left
 
@@ -284,7 +280,8 @@ def jump(q, m, L, old, new, bulk):
 @njit(cache=True, error_model="numpy")
 def _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events):
     """Add the forces inside a run."""
-    _add_run(run, q, F, pairs, law, measure, step, sums, events)
+    first, last = pairs.runs[run], pairs.runs[run + 1]
+    _add_pairs(run, first, last, q, F, pairs, law, 0.0, 0.0, 0.0, measure, step, sums, events)
     if law.body != 0.0 or law.spin_drag != 0.0:
         _drag(run, q, F, disks.R, law, rate, sums)
 
@@ -336,7 +333,8 @@ def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, step, sum
         _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, events)
     else:
         _force_runs(q, F, disks, pairs, law, rate, measure, step, sums, events)
-    _add_rest(q, F, pairs, law, L, strain, rate, measure, step, sums, events)
+    last, first, end = len(pairs.runs) - 1, pairs.runs[-1], len(pairs.i)
+    _add_pairs(last, first, end, q, F, pairs, law, L, strain, rate, measure, step, sums, events)
 
 
 @njit(cache=True, error_model="numpy")
@@ -403,8 +401,6 @@ def advance(
             return k
         if scheme == HEUN:
             book(sums, rate, total)
-        else:
-            F[:] = 0.0
         last = scheme == SINGLE
         forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, step + k + 1, sums, events)
         if last:
@@ -419,13 +415,9 @@ def advance(
 @njit(cache=True, error_model="numpy")
 def elastic_energy(q, pairs, exponent, L, strain):
     """Energy Σ (1 − r/σ)^α/α of the contacts (VOT eq. 1)."""
-    energy, rest = 0.0, pairs.runs[-1]
+    energy = 0.0
     for c in range(len(pairs.i)):
-        a, b = pairs.i[c], pairs.j[c]
-        x, y = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
-        if c >= rest:
-            x += (pairs.nx[c - rest] + pairs.ny[c - rest] * strain) * L
-            y += pairs.ny[c - rest] * L
+        x, y, _, _ = separation(c, q, pairs, L, strain, 0.0)
         overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
         if overlap > 0.0:
             energy += overlap**exponent / exponent
@@ -465,20 +457,15 @@ def observe(q, R, pairs, L, strain, rate, pick, layers, moments, scatter):
     touching = 0
     for c in range(len(pairs.i)):
         touching += pairs.touching[c]
-    chosen, rest = pick % max(touching, 1), pairs.runs[-1]
+    chosen = pick % max(touching, 1)
     for c in range(len(pairs.i)):
         if pairs.touching[c]:
-            a, b = pairs.i[c], pairs.j[c]
-            x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[a, 2] - q[b, 2], q[a, 3] - q[b, 3]
-            if c >= rest:
-                x += (pairs.nx[c - rest] + pairs.ny[c - rest] * strain) * L
-                y += pairs.ny[c - rest] * L
-                vx -= pairs.ny[c - rest] * rate * L
+            x, y, vx, vy = separation(c, q, pairs, L, strain, rate)
             r = np.sqrt(x * x + y * y)
-            v[0] = (vy * x - vx * y) / r
-            v[1] = (q[a, 4] + q[b, 4]) * r * pairs.inverse[c]
+            v[0] = (vx * y - vy * x) / r
+            v[1] = (q[pairs.i[c], 4] + q[pairs.j[c], 4]) * r * pairs.inverse[c]
             v[2] = v[0] + v[1]
-            v[3] = (vx * x + vy * y) / r
+            v[3] = -(vx * x + vy * y) / r
             sums[4] += v[3] ** 2
             sums[5] += v[0] ** 2
             if rate != 0.0:

@@ -176,6 +176,7 @@ class Simulation:
         self._sums[:, kernels.KXX : kernels.WORK] = 0.0
         kernels.kinetic(d.q, d.m, self.rate, self._sums)
         kernels.book(self._sums, self.rate, now)
+        self._sums[-1] = 0.0
         return now
 
     def _see(self) -> None:

@@ -1,0 +1,392 @@
+"""The driver of sheared disks: restarts, protocols, starts, errors, grids, and the verbs."""
+
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import petscjam as pj
+from petscjam.cli import main
+from petscjam.damping import ContactDamping
+from petscjam.errors import InputError
+from petscjam.md import protocols
+from petscjam.md.grid import grid, run_grid
+from petscjam.md.model import Model, model_of
+from petscjam.md.result import blocked_error, export_csv, read_folder
+from petscjam.md.runs import run
+from petscjam.md.state import State, random_state
+
+pytestmark = pytest.mark.parallel(nprocs=1)
+SMALL = {"model": "CD_rot", "n": 36, "phi": 0.82, "rate": 1e-2, "strain": 0.6, "seed": 3}
+
+
+class StoppedError(Exception):
+    """Stands for whatever stops a run."""
+
+
+def stop_at(fraction):
+    """Return a progress report that stops the run there."""
+
+    def report(done, text):
+        if done > fraction:
+            raise StoppedError
+
+    return report
+
+
+def same(one, other):
+    """Return what differs between two runs, bit for bit."""
+    rows = [name for name in one.rows if not np.array_equal(one.rows[name], other.rows[name])]
+    blocks = [
+        name
+        for name, values in one.blocks.items()
+        if not np.array_equal(values, other.blocks[name], equal_nan=True)
+    ]
+    names = ("positions", "velocities", "spins", "strain", "time")
+    return (
+        rows
+        + blocks
+        + [n for n in names if not np.array_equal(getattr(one.state, n), getattr(other.state, n))]
+    )
+
+
+@pytest.mark.parametrize("integrator", ["heun", "single"])
+def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator):
+    """Contact events and histograms included, whatever the moments at which it was stopped."""
+    file, given = tmp_path / "run.h5", {**SMALL, "integrator": integrator}
+    for fraction in (0.1, 0.45, 0.8):
+        with pytest.raises(StoppedError):
+            pj.md.shear(**given, output=file, resume=True, progress=stop_at(fraction))
+        assert pj.md.read(file).strain[-1] == pytest.approx(fraction * 0.6, abs=0.06)
+    assert same(pj.md.shear(**given, output=file, resume=True), pj.md.shear(**given)) == []
+    assert same(pj.md.read(file), pj.md.shear(**given)) == []
+
+
+KILLED = """
+import sys, petscjam as pj
+from petscjam.md import book
+book.EVERY = 0.0
+def report(done, text):
+    print(done, flush=True)
+given = dict(rate=1e-2, strain=3.0, seed=3, output=sys.argv[1], resume=True)
+pj.md.shear("CD_rot", 36, 0.82, **given, progress=report)
+"""
+
+
+def test_a_kill_loses_at_most_the_last_interval(tmp_path, environment):
+    """The file is whole after SIGKILL, and the run that goes on from it is the undisturbed one."""
+    file, command = tmp_path / "run.h5", [sys.executable, "-c", KILLED, str(tmp_path / "run.h5")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    while float(process.stdout.readline()) < 0.3:
+        pass
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert 0.8 < pj.md.read(file).strain[-1] < 3.0
+    given = {**SMALL, "strain": 3.0}
+    assert same(pj.md.shear(**given, output=file, resume=True), pj.md.shear(**given)) == []
+
+
+@pytest.mark.slow
+def test_threads_do_not_change_the_numbers(environment):
+    """Sums are those of runs of disks, in order: 1 and 2 threads agree bit for bit."""
+    text = (
+        "import petscjam as pj; r = pj.md.shear('CD_rot', 10000, 0.82, rate=1e-2, strain=0.05, threads={});"
+        "print(r.state.positions.tobytes().hex(), r.stress.tobytes().hex())"
+    )
+    environment["NUMBA_NUM_THREADS"] = "2"
+    one, two = (
+        subprocess.run([sys.executable, "-c", text.format(threads)], capture_output=True, text=True,
+                       env=environment, check=True).stdout
+        for threads in (1, 2)
+    )  # fmt: skip
+    assert one == two
+
+
+def test_a_longer_run_goes_on_from_its_end(tmp_path):
+    """The rows that were there stay."""
+    short = pj.md.shear(**SMALL, output=tmp_path / "run.h5")
+    longer = pj.md.shear(**{**SMALL, "strain": 0.9}, output=tmp_path / "run.h5", resume=True)
+    assert longer.strain[-1] == pytest.approx(0.9)
+    assert np.array_equal(longer.stress[: len(short.stress)], short.stress)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"model": "CD"}, {"Q": 2.0}, {"dt": 0.04}, {"phi": 0.8}, {"rate": 2e-2}, {"n": 64}, {"seed": 4},
+     {"integrator": "single"}, {"drag": 0.1}, {"model": ContactDamping(beta=0.5)}],
+    ids=lambda other: next(iter(other)),
+)  # fmt: skip
+def test_a_checkpoint_of_another_run_is_refused(tmp_path, other):
+    """The message names what differs, and nothing is lost."""
+    file = tmp_path / "run.h5"
+    pj.md.shear(**{**SMALL, "strain": 0.05}, output=file)
+    before = file.read_bytes()
+    with pytest.raises(InputError, match="cannot be resumed"):
+        pj.md.shear(**{**SMALL, **other}, output=file, resume=True)
+    with pytest.raises(InputError, match="exists already"):
+        pj.md.shear(**{**SMALL, **other}, output=file)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("keep", [0, 7, 100, 0.5, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, keep):
+    """And left as it is."""
+    file = tmp_path / "run.h5"
+    pj.md.shear(**{**SMALL, "strain": 0.05}, output=file)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(keep * len(whole)) if keep < 1 else keep])
+    before = file.read_bytes()
+    for work in (
+        lambda: pj.md.read(file),
+        lambda: pj.md.shear(**SMALL, output=file, resume=True),
+        lambda: pj.md.shear(start=file),
+    ):
+        with pytest.raises(InputError, match=r"run\.h5"):
+            work()
+    assert file.read_bytes() == before
+
+
+BAD = [
+    ("--phi 1.2", "1.2"), ("--phi 0", "0"), ("--Q 0", "0"), ("--Q -1", "-1"), ("--rate 0", "rate"),
+    ("--strain -3", "-3"), ("--particles 33", "33"), ("--particles 4", "4"), ("--dt 0.5", "0.5"),
+    ("--dt -0.1", "-0.1"), ("--dt 0.1 --integrator single", "0.0602"), ("--model CD_x", "CD_x"),
+    ("--threads 0", "0"), ("--exponent 1", "1"), ("--seed -1", "-1"), ("--start nowhere.h5", "nowhere.h5"),
+    ("--drag -1", "-1"), ("--model CD --beta 0.3", "--beta"), ("--oscillate 1:2", "1:2"),
+    ("--rate nan", "nan"), ("--then 1e-3", "1e-3"), ("--phi 1.2,1.3 --particles 36", "1.2"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("options", "value"), BAD, ids=[options for options, _ in BAD])
+def test_bad_input_is_one_line_that_names_the_value(tmp_path, capsys, options, value):
+    """Exit status 2, and nothing is written."""
+    assert main(["shear", *options.split(), "-o", str(tmp_path / "run.h5")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert value in error
+    assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+@pytest.mark.parametrize("options", ["--kappa 0", "--to -1", "--rate 1e-3 --to 1e-3"])
+def test_bad_ramps_are_refused(tmp_path, capsys, options):
+    """As bad shearing is."""
+    assert main(["ramp", *options.split(), "-o", str(tmp_path / "run.h5")]) == 2
+    assert "must be above 0" in (error := capsys.readouterr().err) or "same strain rate" in error
+
+
+def test_a_ramp_multiplies_the_rate_by_the_same_factor_and_comes_back():
+    """VOT eqs. 38, 39."""
+    ramp = protocols.ramp(1e-4, 1e-2, 0.01)
+    rates = ramp.rates(np.arange(ramp.duration) + 0.5)
+    assert len(rates) == 400
+    assert rates[:200] == pytest.approx(1e-4 * 10 ** (0.01 * np.arange(200)))
+    assert rates[200:] == pytest.approx(rates[199::-1])
+
+
+def test_the_budget_of_a_ramp_closes_with_what_the_jumps_bring():
+    """Scaled velocities (VOT eqs. 40, 41) carry energy in, and out again on the way down."""
+    ramped = pj.md.ramp("CD_rot", 36, 0.82, rate=1e-3, to=1e-1, kappa=0.01, row_time=5)
+    heat, jumps, missed = (ramped.rows[name].sum() for name in ("heat", "jumps", "imbalance"))
+    rising = ramped.rows["jumps"][: len(ramped.strain) // 2]
+    assert rising.sum() > 0.01 * heat
+    assert abs(missed) < 0.02 * heat
+    assert abs(missed) < 0.5 * rising.sum()
+    assert jumps < rising.sum()
+
+
+def test_shear_that_stops_leaves_the_strain_and_takes_the_motion():
+    """Cessation: at a strain rate of 0 the disks come to rest; rattlers need some drag."""
+    stopped = run(protocols.steps([1e-2, 0.0], [0.5, 200.0]), "CD_rot", 36, 0.84, drag=0.1)
+    assert stopped.settings["bulk"] == "profile"
+    assert stopped.strain[-1] == pytest.approx(0.5)
+    assert (stopped.state.velocities**2).sum() < 1e-6 * stopped.rows["energy"].max()
+
+
+def test_an_oscillation_measures_the_modulus_of_the_linear_response():
+    """A jammed packing swung slowly by 1e-5 shows the G* of the solver, but for inertia and time steps."""
+    start = pj.prepare_packing(32, pressure=2e-2, seed=2, potential_name="harmonic-relative")
+    scale = 2 * start.radii.min()  # the state is in units of the smallest diameter
+    amplitude, omega, Q = 1e-5, 0.02, 1.0
+    swung = run(
+        protocols.oscillation(amplitude, omega, 6), "CD", Q=Q, start=start, row_time=2 * np.pi / omega / 40
+    )
+    kept = swung.time > 2 * 2 * np.pi / omega
+    step = np.diff(swung.time).mean()
+    phase = omega * (swung.time[kept] - step / 2)
+    stress = swung.stress[kept]
+    design = np.column_stack([np.sin(phase), np.cos(phase), np.ones(kept.sum())])
+    storage, loss, _ = np.linalg.lstsq(design, stress, rcond=None)[0] / amplitude
+    state = swung.state
+    packing = pj.Packing(
+        start.positions / scale, start.radii / scale, pj.Box(start.box.cell / scale), "harmonic-relative"
+    )
+    g = pj.complex_modulus(packing, [omega / Q], damping=ContactDamping(beta=1.0, rotations=False))
+    assert state.phi == pytest.approx(packing.phi)
+    assert storage == pytest.approx(g.values[0].real, rel=0.02)
+    assert loss == pytest.approx(g.values[0].imag, rel=0.05)
+
+
+def test_every_start_is_recorded(tmp_path):
+    """History matters."""
+    file, given = tmp_path / "run.h5", {"rate": 1e-2, "strain": 0.05}
+    first = pj.md.shear("CD", 36, 0.84, **given, output=file)
+    assert first.settings["start"] == "random"
+    for start, text in (
+        (first, "CD from random"),
+        (first.state, "a state"),
+        (file, "run.h5: CD from random"),
+        (str(file), "run.h5"),
+    ):
+        second = pj.md.shear("CD_rot", **given, start=start)
+        assert text in second.settings["start"]
+        assert second.settings["phi"] == pytest.approx(0.84)
+        assert second.strain[0] > 0.05
+    with pytest.raises(InputError, match="36 disks, not 64"):
+        pj.md.shear(n=64, start=file)
+    with pytest.raises(InputError, match=r"not 0\.8"):
+        pj.md.shear(phi=0.8, start=first)
+
+
+def test_a_packing_is_a_start_at_rest_in_its_own_cell():
+    """Lengths are those of the smallest diameter; a cell that is not a sheared square is refused."""
+    packing = pj.prepare_packing(32, pressure=1e-2, seed=1)
+    sheared = pj.md.shear("CD", rate=1e-2, strain=0.02, start=packing)
+    assert sheared.settings["phi"] == pytest.approx(packing.phi)
+    assert 2 * sheared.state.radii.min() == pytest.approx(1.0)
+    oblong = pj.Packing(packing.positions, packing.radii, pj.Box(packing.box.cell * [[2.0], [1.0]]))
+    with pytest.raises(InputError, match="not a square one"):
+        pj.md.shear(start=oblong)
+
+
+def test_a_change_of_rate_scales_a_start():
+    """Velocities and spins in proportion (VOT eqs. 40, 41): so does the peculiar kinetic energy, squared."""
+    state = pj.md.shear(**{**SMALL, "strain": 0.1}).state
+    faster = run(protocols.steady(3e-2, 1e-9), "CD_rot", start=state).state
+    assert faster.rate == 3e-2
+    assert np.std(faster.velocities[:, 1]) == pytest.approx(3 * np.std(state.velocities[:, 1]), rel=0.05)
+
+
+def test_the_error_of_white_noise_is_its_scatter_over_the_root_of_its_length():
+    """And that of an autoregressive series is larger by √((1 + a)/(1 − a))."""
+    noise = np.random.default_rng(1).standard_normal(2**16)
+    assert blocked_error(noise) == pytest.approx(2**-8, rel=0.5)
+    assert blocked_error(noise) >= noise.std() / 256
+    a, x = 0.9, np.zeros(2**16)
+    for k in range(1, len(x)):
+        x[k] = a * x[k - 1] + noise[k]
+    expected = x.std() / 256 * ((1 + a) / (1 - a)) ** 0.5
+    assert expected * 0.8 < blocked_error(x) < expected * 2
+
+
+def test_time_series_as_text(tmp_path):
+    """A column for each row of the file, after lines that say what it is."""
+    small = pj.md.shear(**{**SMALL, "strain": 0.1})
+    export_csv(small, tmp_path / "run.csv")
+    lines = [line for line in (tmp_path / "run.csv").read_text().splitlines() if line[0] != "#"]
+    column = lines[0].split(",").index("contacts")
+    assert [float(line.split(",")[column]) for line in lines[1:]] == small.contacts.tolist()
+
+
+def test_a_model_survives_the_file(tmp_path):
+    """A law that has no name in VOT, too."""
+    law = ContactDamping(beta=0.3, rotations=True)
+    made = pj.md.shear(law, 36, 0.82, 2.0, rate=1e-2, strain=0.02, drag=0.1, output=tmp_path / "a.h5")
+    assert model_of(pj.md.read(tmp_path / "a.h5").settings) == Model(law, 2.0, drag=0.1)
+    assert model_of(made.settings) == Model(law, 2.0, drag=0.1)
+
+
+def test_states_are_checked_at_birth():
+    """Names the array, and the disk."""
+    state = random_state(16, 0.8, 1)
+    bad = state.velocities.copy()
+    bad[5, 0] = np.nan
+    with pytest.raises(InputError, match="velocities of disk 5"):
+        State(state.positions, bad, state.spins, state.radii, state.length)
+
+
+def test_verbs(tmp_path, capsys):
+    """Shear, ramp, info, plot, maps, frames, csv, LAMMPS."""
+    file = tmp_path / "run.h5"
+    words = [
+        "--model",
+        "CD_rot",
+        "--particles",
+        "36",
+        "--phi",
+        "0.82",
+        "--Q",
+        "1",
+        "--rate",
+        "1e-2",
+        "--strain",
+        "0.6",
+        "--seed",
+        "3",
+    ]
+    assert main(["shear", *words.split(), "--frames", "2", "-o", str(file)]) == 0
+    assert same(pj.md.read(file), pj.md.shear(**SMALL)) == []
+    assert len(list((tmp_path / "run.frames").iterdir())) == 2
+    for verb in (["info", file], ["plot", file], ["plot", file, "--maps", "-o", tmp_path / "maps.png"],
+                 ["export", file], ["export", file, "--to", "lammps"]):  # fmt: skip
+        assert main([str(word) for word in verb]) == 0
+    assert {"run.png", "maps.png", "run.csv", "run.lammps"} <= {path.name for path in tmp_path.iterdir()}
+    words = [
+        "--particles",
+        "36",
+        "--phi",
+        "0.8",
+        "--rate",
+        "1e-3",
+        "--to",
+        "1e-1",
+        "--kappa",
+        "0.05",
+        "--row-time",
+        "5",
+    ]
+    assert main(["ramp", *words.split(), "-o", str(tmp_path / "ramp.h5")]) == 0
+    assert main(["plot", str(tmp_path / "ramp.h5")]) == 0
+    assert "energy budget" in capsys.readouterr().out
+
+
+@pytest.mark.parallel(nprocs=[1, 2, 3])
+def test_a_grid_gives_the_same_runs_on_any_number_of_ranks(comm, tmp_path):
+    """Each point once, in a file of its own."""
+    folder = comm.bcast(tmp_path) / "grid"
+    points = grid(["CD_rot", "CD"], [36], [0.8, 0.84], [1.0], [1e-2], [1])
+    done = []
+
+    def work(rate, **settings):
+        return run(protocols.steady(rate, 0.05), **settings)
+
+    made, failures = run_grid(points, folder, work, comm=comm, log=lambda file, _: done.append(file.name))
+    assert (made, failures) == (4, [])
+    everywhere = [name for some in comm.allgather(done) for name in some]
+    assert sorted(everywhere) == sorted(f"{point.name}.h5" for point in points)
+    runs = read_folder(folder)
+    assert same(runs[points[2].name], pj.md.shear("CD", 36, 0.8, rate=1e-2, strain=0.05)) == []
+
+
+@pytest.mark.parallel(nprocs=[1, 2])
+def test_a_point_that_fails_stops_no_other(comm, tmp_path):
+    """It is named; the others are made."""
+    folder = comm.bcast(tmp_path) / "grid"
+    points = grid(["CD"], [36], [0.8, 1.5], [1.0], [1e-2], [1])
+
+    def work(rate, **settings):
+        return run(protocols.steady(rate, 0.02), **settings)
+
+    made, failures = run_grid(points, folder, work, comm=comm, log=lambda file, _: None)
+    assert made == 1
+    assert [failure.split(":")[0] for failure in failures] == [points[1].name]
+    with pytest.raises(InputError, match="exists already"):
+        run_grid(points, folder, work, comm=comm, log=lambda file, _: None)
+
+
+def test_one_run_on_two_ranks_is_made_once(mpirun, tmp_path):
+    """The second rank waits."""
+    words = ["--particles", "36", "--rate", "1e-2", "--strain", "0.05", "-o"]
+    done = mpirun(2, "-m", "petscjam", "shear", *words, tmp_path / "run.h5")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("energy budget") == 1
