@@ -10,7 +10,8 @@ shear() { mpirun -n 2 .venv/bin/petscjam "$@" --resume; }
 # CD at φ = 0.82: Newtonian below Qc, Bagnoldian above (VOT fig. 2)
 shear shear --model CD --particles 1024 --phi 0.82 --Q 1,5,20,70,100,150 --rate 1e-5 --strain 2 --dt 0.1 -o "$out/CD"
 # CD_rot at Q = 1: Bagnoldian at φ = 0.76, Newtonian at 0.82 (VOT figs. 11, 16)
-shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --Q 1 --rate 1e-4,1e-5 --strain 2 --dt 0.05 -o "$out/CD_rot"
+shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-4 --strain 10 --dt 0.1 -o "$out/CD_rot"
+shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-5 --strain 2 --dt 0.1 -o "$out/CD_rot"
 # the Newtonian band at P = 2e-5
 shear shear --model CD_rot --particles 1024 --phi 0.809 --rate 4.2e-6 --strain 1.5 --dt 0.1 -o "$out/newtonian.h5"
 # shear bands from a Bagnoldian start: CD_n is Bagnoldian at every φ
