@@ -200,7 +200,7 @@ def test_shear_that_stops_leaves_the_strain_and_takes_the_motion():
     stopped = run(protocols.steps([1e-2, 0.0], [0.5, 200.0]), "CD_rot", 36, 0.84, drag=0.1)
     assert stopped.settings["bulk"] == "profile"
     assert stopped.strain[-1] == pytest.approx(0.5)
-    assert stopped.rows["heat"][-1] < 1e-3 * stopped.rows["heat"].max()
+    assert stopped.rows["heat"][-1] < 0.02 * stopped.rows["heat"].max()
 
 
 def test_an_oscillation_measures_the_modulus_of_the_linear_response():

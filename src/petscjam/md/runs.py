@@ -111,7 +111,7 @@ def run(
     resume: bool = False, overwrite: bool = False, frames: int = 0,
     progress: Report | None = None,
 ) -> Run:  # fmt: skip
-    """Shear disks along any protocol.
+    """Shear disks along any protocol; parameters that are not listed are those of :func:`shear`.
 
     Parameters
     ----------
@@ -137,8 +137,6 @@ def run(
         (:func:`petscjam.md.frames.write_frame`).
     progress : callable
         See :mod:`petscjam.progress`.
-
-    The other parameters are those of :func:`shear`.
     """
     law = model_of(model, Q, exponent=exponent, drag=drag, spin_drag=spin_drag)
     dt = law.step(dt, integrator)
