@@ -20,8 +20,8 @@ MODELS: dict[str, DampingLaw] = {
 }
 # The largest rate of relaxation, in units of the friction coefficient of a contact, of a disk in the densest
 # flow (measured, docs/design/0015), and the largest product of rate and time step of each integrator.
-AT_CENTRES, AT_CONTACT_POINT = 6.7, 13.3
-INTEGRATORS = {"heun": 2.0, "single": 0.8}
+AT_CENTRES, AT_CONTACT_POINT = 7.7, 19.2
+INTEGRATORS = {"heun": 2.0, "single": 1.0}
 BULK = {"boundary": 0, "scale": 1, "profile": 2}  # what a change of the strain rate does to the disks
 LARGEST_STEP = 0.2  # τe: the elastic forces, however weak the damping
 STEP = 0.05  # τe, VOT sec. II D
