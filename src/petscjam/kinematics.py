@@ -8,7 +8,8 @@ a tangential relative displacement (BT eqs. 4–6 with the signs of docs/theory.
 Everything linear is a weighted sum of squares of these: see :class:`Form`.
 
 Axes: c contact, k normal/tangential, a row (c and k), s strain mode, i disk,
-d degree of freedom of a disk (ux, uy, θ), x Cartesian.
+d degree of freedom of a disk (ux, uy, θd), x Cartesian. Rotations are lengths, θ times the mean diameter d:
+forces and torques are then of one kind, and no norm depends on the unit of length.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ def contact_rows(
     """Return the rows, sparse (2C, 3N), normal and tangential in turn, and their strain columns (2C, S)."""
     n = network.normal
     t = np.stack([-n[:, 1], n[:, 0]], axis=1)
-    arms = at_contact_point * network.radii
+    arms = at_contact_point * network.radii / network.mean_diameter
     values = np.zeros((len(network), 2, 6))
     for k, direction in enumerate((n, t)):
         values[:, k, 0:2] = -direction

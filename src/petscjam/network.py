@@ -88,6 +88,11 @@ class ContactNetwork:
         return self.r / self.distance[:, None]
 
     @property
+    def mean_diameter(self) -> float:
+        """Mean diameter d of all disks."""
+        return float(2 * self.radii.mean())
+
+    @property
     def rattlers(self) -> int:
         """Number of disks that are not in the backbone."""
         return int((~self.backbone).sum())

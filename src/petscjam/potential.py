@@ -34,6 +34,10 @@ class Potential:
     spring_constant: Callable[[Array], Array]
     source: str
 
+    def unit(self, d: float) -> float:
+        """Stiffness k(d) d^(α − 2) of disks of diameter ``d`` whose overlap is d: a scale for pressures, too."""
+        return float(self.spring_constant(np.array(d)) * d ** (self.exponent - 2))
+
     def energy(self, r: Array, sigma: Array) -> Array:
         """Energy of pairs at distance ``r``."""
         return self.spring_constant(sigma) * np.maximum(sigma - r, 0) ** self.exponent / self.exponent

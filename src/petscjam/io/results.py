@@ -56,6 +56,7 @@ OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
     DensityOfStates: {"omega": "(stress/mass)^1/2", "edge": "(stress/mass)^1/2"},
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
+ADDED = {"rounding_only": False}  # what older files lack, and what they mean by it
 DERIVED = ("stable",)  # written for other readers, never read back
 
 
@@ -300,16 +301,20 @@ def _write(node: Any, name: str, value: Any, own: Mapping[str, str] | None = Non
 
 def _read_model(node: Any) -> Spectrum:
     values = _values(node, Spectrum)
+    if "rounding_only" not in node.attrs and not (values["gains"].any() or values["estimate"]):
+        values["definite"] = False  # an older file: where the residual was rounding, it bounds no error
     pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
     return Spectrum(**{**values, **pairs})
 
 
 def _values(node: Any, kind: type) -> dict[str, Any]:
     there = {*node, *node.attrs}
-    missing = [item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)]
-    if missing:
-        raise InputError(f"{node.name} lacks {', '.join(missing)}")
-    return {item.name: _value(node, item) if item.name in there else None for item in fields(kind)}
+    missing = {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}
+    if missing - set(ADDED):
+        raise InputError(f"{node.name} lacks {', '.join(sorted(missing - set(ADDED)))}")
+    return {
+        item.name: _value(node, item) if item.name in there else ADDED.get(item.name) for item in fields(kind)
+    }
 
 
 def _may_be_none(item: Field) -> bool:

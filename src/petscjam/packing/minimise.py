@@ -50,6 +50,8 @@ class Enthalpy:
     ----------
     start : (2N + S,)
         The z of ``packing``.
+    unit : float
+        Stiffness of the packing's potential (:meth:`petscjam.potential.Potential.unit`).
     energy, force : float
         U, and the largest net force on a disk, of the last gradient.
     stress : (3,)
@@ -72,6 +74,7 @@ class Enthalpy:
         self.packing, self.target = packing, pressure
         self.strains = NOTHING if pressure is None else SHAPE if shape else SIZE
         self.diameter = packing.mean_diameter
+        self.unit = packing.potential.unit(self.diameter)
         self.weight = len(packing) ** 0.5 * self.diameter
         self.cell = self.strains, self.weight, np.nan if pressure is None else pressure, packing.box.area
         self.exponent = packing.potential.exponent
@@ -210,7 +213,7 @@ class Enthalpy:
         self.pairs = i, j, sigma, k, runs, image
         self._sums = np.zeros((len(runs), 4))
         overlap = self.packing.potential.stiffness(0.9 * sigma, sigma)
-        self.stiffest = float(overlap.max(initial=1e-3))
+        self.stiffest = float(overlap.max(initial=1e-3 * self.unit))
 
 
 def _pairs(box: Box, x: Array, radii: Array, skin: float) -> tuple[NDArray, int, NDArray]:
@@ -263,7 +266,7 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
 
     z = z.copy()
     g, v = h.gradient(z), np.zeros_like(z)
-    state = np.array([0.1, 0.1, 0.0, 0.0])
+    state = np.array([0.1 / h.unit**0.5, 0.1, 0.0, 0.0])
     while not h.reached(goal):
         taken, fresh, h.force, h.energy, h.stress = kernels.fire(
             z, g, v, state, h.force, h.energy, h.stress, goal, min(REPORT_EVERY, h.budget - h.evaluations),
@@ -283,7 +286,7 @@ def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
     g, g_trial = h.gradient(z), np.empty_like(z)
     d, limit, slope = -g, 0.1 * h.diameter, -float(g @ g)
     longest = limit / max(float(np.abs(d).max()), 1e-300)
-    state = np.array([slope, min(0.1, longest), 0.0, slope, np.inf, np.inf, longest, 0.0])
+    state = np.array([slope, min(0.1 / h.unit, longest), 0.0, slope, np.inf, np.inf, longest, 0.0])
     while not h.reached(goal):
         taken, h.force, h.energy, h.stress = kernels.conjugate_gradients(
             z, g, d, trial, g_trial, state, h.force, h.energy, h.stress, goal,

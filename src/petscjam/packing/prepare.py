@@ -134,8 +134,8 @@ def relax_packing(
     :func:`prepare_packing`; besides, disks that are not jammed at their volume are an InputError. Lower
     pressures of a series are reached by relaxing the packing before.
     """
-    d, law = packing.mean_diameter, packing.potential
-    unit = float(law.spring_constant(np.array(d))) * d ** (law.exponent - 2)
+    d = packing.mean_diameter
+    unit = packing.potential.unit(d)
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
     book = _LogBook(budget, progress)
     if pressure is None:
@@ -242,9 +242,10 @@ class _LogBook:
         self._note(h, z)
         if h.pressure < self.least:
             raise InputError(f"not jammed: the pressure falls to {h.pressure:.1e}, with all forces")
-        goal = 1e-10 * h.pressure * h.diameter
-        if 0 < goal < 1 and h.force < 1:
-            self._done = max(self._done, min(0.99, log(max(h.force, goal)) / log(goal)))
+        unit = h.unit * h.diameter
+        goal, force = 1e-10 * h.pressure * h.diameter / unit, h.force / unit
+        if 0 < goal < 1 and force < 1:
+            self._done = max(self._done, min(0.99, log(max(force, goal)) / log(goal)))
         self._say(f"largest force {h.force:.1e}, pressure {h.pressure:.4e}")
 
     def finish(self, packing: Packing) -> None:

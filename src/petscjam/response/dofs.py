@@ -126,13 +126,13 @@ def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Any) -> Mask:
 def free_motions(network: ContactNetwork) -> list[Field]:
     """Return the joint motions (N, 3) that K ignores: two translations, and the gears' rotation.
 
-    Disks of alternating sense, θ = ±1/ρ, roll on each other without sliding if no cycle of
+    Disks of alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of
     contacts is odd; if one is, what is returned slides there, and B sees it.
     """
     n = len(network.radii)
     motions = [np.tile(direction, (n, 1)) for direction in np.eye(3)[:2]]
     gears = np.zeros((n, 3))
-    gears[:, 2] = _alternating(network) / network.radii
+    gears[:, 2] = _alternating(network) * network.mean_diameter / network.radii
     return [*motions, gears]
 
 

@@ -33,7 +33,7 @@ from petscjam.response.spectrum import Spectrum, relaxed
 
 PER_DECADE = 4, 4  # points of the grid in ω and β
 MOST_NODES = 80
-SOFT = 0.03  # rate above which motions respond ever less
+SOFT = 0.03  # frequency, over the rate of a contact, above which motions respond ever less
 SAFETY = 10  # times the error that the nodes tell
 LARGEST_BETA = 1e3  # beyond it rounding hides what the residual tells
 
@@ -294,4 +294,4 @@ class _Residual:
         c = np.stack([np.ones_like(omega), 1j * omega * beta, 1j * omega * (1 - beta)], axis=1)
         z = (Q[:, :, None] * c[:, None, :]).reshape(len(grid), -1)
         square = np.einsum("gi,gi->g", z.conj(), z @ self.gram).real.clip(0)
-        return square / (1 + omega / SOFT) / abs(energy)
+        return square / (1 + omega / (SOFT * self.motions.problem.rate)) / abs(energy)

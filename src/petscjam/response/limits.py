@@ -21,7 +21,7 @@ from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
 
 LARGEST_RESIDUAL = 1e-8
-SOFT = 1e-8  # weight of friction against stiffness where both hold a degree of freedom
+SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
 
 
 class Limit(NamedTuple):
@@ -120,9 +120,10 @@ def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tu
     neighbours avoids energy first, then friction: the limit ε → 0, extrapolated from ε and ε/2.
     """
     stiff = (total(problem.comm, problem.K.diagonal())[follow] > 0).any()
-    done, worst = _minimise(problem, follow, starts, SOFT)
+    soft = SOFT * problem.rate
+    done, worst = _minimise(problem, follow, starts, soft)
     if stiff:
-        half, residual = _minimise(problem, follow, starts, SOFT / 2)
+        half, residual = _minimise(problem, follow, starts, soft / 2)
         done = [(2 * q2 - q1, s) for (q1, s), (q2, _) in zip(done, half, strict=True)]
         worst = max(worst, residual)
     _demand(worst, "B is singular on what K leaves free")

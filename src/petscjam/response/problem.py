@@ -56,6 +56,11 @@ class LinearProblem:
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
         self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
 
+    @property
+    def rate(self) -> float:
+        """Rate at which a contact relaxes by itself, 1/τ1: its mean stiffness over its friction kτ1."""
+        return float(self.backbone.stiffness.mean())
+
     @cached_property
     def negative_modes(self) -> int | None:
         """Number of negative modes of K on the pinned backbone; None, with a note, if unknown.

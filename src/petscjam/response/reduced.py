@@ -40,6 +40,8 @@ MOST_SPOILED = 3  # times that rounding of the gains may undo a bound that was m
 MOST_DECADES = 30
 PLATEAU = 1e-3  # distance of a limit from the end of the span, relative, above which it is solved for
 SILENT = 1e-11  # residual, relative to the forces of the affine motion, below which it is rounding
+LISTEN = 2  # frequencies a decade at which rounding is measured
+STEPS, FACTOR = 4, 10.0  # of the power method; what it may miss of ‖A⁻¹‖, but for 1 in FACTOR^(2 STEPS)/√n
 
 Complex = NDArray[np.complex128]
 
@@ -182,10 +184,11 @@ def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Repor
         model = make(**comm.bcast(grow.model(grid)))
         bound = comm.bcast(np.nan_to_num(model.truncation(grid), nan=np.inf))
         fresh = candidates[~np.isin(candidates, model.nodes)]
-        last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES
+        last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES or model.rounding_only
         if last or bound.max() <= rtol:
             spoiled += 1
-            model = replace(model, gain_errors=comm.bcast(grow.gain_errors()))
+            if not model.rounding_only:
+                model = replace(model, gain_errors=comm.bcast(grow.gain_errors()))
             bound = comm.bcast(model.truncation(grid))
         worst = float(bound.max())
         if progress:
@@ -223,7 +226,7 @@ class _Projection(Motions):
         self._sizes = [
             np.sqrt(2 * abs(affine) * total(problem.comm, form.diagonal()).max())
             for affine, form in zip(problem.affine, pencil.forms, strict=True)
-        ]  # of the forces of the affine motion, were there no cancellation
+        ]
 
     def add(self, omega: float, order: int) -> None:
         """Factor K + iωB, and add q and its derivatives below ``order`` to the motions."""
@@ -245,31 +248,66 @@ class _Projection(Motions):
 
     def model(self, grid: Array) -> dict[str, Any]:
         """Return the arrays of a :class:`Spectrum`: the pencil, the residual, the gains."""
+        K, B = self.reduced
+        common = {"K": K, "B": B, "nodes": np.array([node.omega for node in self.nodes])}
         R = self._direction(grid)
+        if R is None:
+            return common | self._rounding_only(grid)
         KR, BR = self.apply(self.pencil.K, R + 0j).real, self.apply(self.pencil.B, R + 0j).real
         residual_K = np.concatenate([[self.dot(R, self.forces[0])], self.on_motions(KR)])
         residual_B = np.concatenate([[self.dot(R, self.forces[1])], self.on_motions(BR)])
         gains = np.zeros(len(self.nodes), dtype=complex)
-        if self.norm(R) > 0:
-            for k, node in enumerate(self.nodes):
-                y = self._correction(node)
-                length = self.dot(KR + 1j * node.omega * BR, node.top)
-                length = length + (residual_K + 1j * node.omega * residual_B)[1:] @ y
-                gains[k] = self.dot(R, node.top) / length
+        for k, node in enumerate(self.nodes):
+            y = self._correction(node)
+            length = self.dot(KR + 1j * node.omega * BR, node.top)
+            length = length + (residual_K + 1j * node.omega * residual_B)[1:] @ y
+            gains[k] = self.dot(R, node.top) / length
         wrong = np.maximum(-gains.real, gains.imag).clip(0) * self.problem.definite  # signs are known there
         with np.errstate(divide="ignore", invalid="ignore"):
             gain_errors = np.where(wrong > 0, wrong / abs(gains), 0.0)
-        K, B = self.reduced
-        return {
-            "K": K, "B": B, "residual_K": residual_K, "residual_B": residual_B, "gains": gains,
-            "gain_errors": gain_errors, "nodes": np.array([node.omega for node in self.nodes]),
+        return common | {
+            "residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors,
         }  # fmt: skip
+
+    def _rounding_only(self, grid: Array) -> dict[str, Any]:
+        """Return the arrays of a model whose residual is rounding, in no direction that is known.
+
+        Its length is measured, relative to the forces of the affine motion; its gain at the last node is at
+        most ‖A⁻¹‖, known from a power method there (docs/theory.md, Reduced model).
+        """
+        ratio = max(self.norm(self._residual(w)) / self._size(w) for w in grid[:: PER_DECADE // LISTEN])
+        residual_K, residual_B = np.zeros((2, len(self.reduced[0])))
+        residual_K[0], residual_B[0] = ratio * self._sizes[0], ratio * self._sizes[1]
+        gains, gain_errors = np.zeros(len(self.nodes), dtype=complex), np.ones(len(self.nodes))
+        gains[-1], gain_errors[-1] = self._largest_gain() * (1 - 1j), 0.0
+        return {
+            "residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors,
+            "rounding_only": True,
+        }  # fmt: skip
+
+    def _largest_gain(self) -> float:
+        """Return ‖A⁻¹‖ of the last node's A = K + iω_kB, or more.
+
+        STEPS products with (A⁻¹)†A⁻¹ from a random start tell it within FACTOR (J. D. Dixon, SIAM J. Numer.
+        Anal. 20, 812, 1983).
+        """
+        dofs, rank = self.pencil.dofs, self.problem.comm.rank
+        start, stop = dofs.rows_of(rank)
+        if dofs.size == 0:
+            return 0.0
+        parts = np.random.default_rng(0).standard_normal((2, dofs.size))[:, start:stop]
+        x = parts[0] + 1j * parts[1]
+        growth = -np.log(self.norm(x))
+        for _ in range(STEPS):
+            y, _ = self.solver.solve(x)
+            x = self.solver.solve(y.conj())[0].conj()  # A is symmetric
+            growth += np.log(self.norm(x))
+            x /= self.norm(x)
+        return FACTOR * float(np.exp(growth / (2 * STEPS)))
 
     def gain_errors(self) -> Array:
         """Return for each node which part of its residual, or of the loudest, is not along R: rounding."""
         errors = np.zeros(len(self.nodes))
-        if self.norm(self._R) == 0:
-            return errors
         for k, node in enumerate(self.nodes):
             z = node.top + self.combine(self._correction(node))
             r = self.apply(self.pencil.K, z) + 1j * node.omega * self.apply(self.pencil.B, z)
@@ -286,19 +324,25 @@ class _Projection(Motions):
         A = K[1:, 1:] + 1j * node.omega * B[1:, 1:]
         return -np.linalg.solve(A, node.forces) if len(A) else np.zeros(0, dtype=complex)
 
-    def _direction(self, grid: Array) -> Array:
-        """Return R, the direction of the residual at every ω, or zero where there is none."""
-        omega = self._loudest(grid)
+    def _residual(self, omega: float) -> Complex:
+        """Return the residual of the model at ``omega``, this rank's rows."""
         K, B = self.reduced
         A = K + 1j * omega * B
         y = -np.linalg.solve(A[1:, 1:], A[1:, 0]) if len(A) > 1 else np.zeros(0, dtype=complex)
         u = self.combine(y)
         r = self.forces[0] + self.apply(self.pencil.K, u)
-        r = r + 1j * omega * (self.forces[1] + self.apply(self.pencil.B, u))
-        size = self.norm(r)
-        if not size > SILENT * np.hypot(self._sizes[0], omega * self._sizes[1]):
-            self._R = np.zeros(len(r))
-            return self._R
+        return r + 1j * omega * (self.forces[1] + self.apply(self.pencil.B, u))
+
+    def _size(self, omega: float) -> float:
+        """Return the size of the forces of the affine motion at ``omega``, were there no cancellation."""
+        return float(np.hypot(self._sizes[0], omega * self._sizes[1])) or 1.0
+
+    def _direction(self, grid: Array) -> Array | None:
+        """Return R, the direction of the residual at every ω; None where it is rounding."""
+        omega = self._loudest(grid)
+        r = self._residual(omega)
+        if not self.norm(r) > SILENT * self._size(omega):
+            return None
         R = (r * np.exp(-0.5j * np.angle(self.dot(r, r)))).real
         R = self.outside(self.outside(R))
         self._R = R / self.norm(R)

@@ -79,6 +79,9 @@ class Spectrum:
     prestress : bool
     packing : dict
         Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+    rounding_only : bool
+        Whether the residual in the span is rounding: its length is then one that it does not exceed, and
+        nothing is known beyond the span.
     estimate : float
         Error of |G*|, relative, that is only estimated, and part of every error (members of a family).
     notes : tuple of str
@@ -111,6 +114,7 @@ class Spectrum:
     damping: DampingLaw
     prestress: bool
     packing: dict[str, Any]
+    rounding_only: bool = False
     estimate: float = 0.0
     notes: tuple[str, ...] = ()
     performance: dict[str, Any] = field(default_factory=dict)
@@ -168,7 +172,8 @@ class Spectrum:
             (abs(G.imag), fall, rise, rounding[1]),
         ):
             apart = self._scale * (abs(square.real) * first + abs(square.imag) * second)
-            bound = np.minimum(whole, apart) if self.gains.any() else whole + self.estimate * part
+            known = self.gains.any() and not self.rounding_only  # the phase of ρ
+            bound = np.minimum(whole, apart) if known else whole + self.estimate * part
             parts.append(_relative(bound + np.maximum(rounded, least * part), part).reshape(omega.shape))
         return parts[0], parts[1]
 
@@ -346,15 +351,19 @@ class Spectrum:
     def _truncation(self, w: Array) -> Array:
         """Return the bound |Rᵀr|² max(1, ω_k/ω)(Re − Im) Rᵀ(K + iω_kB)⁻¹R, the best of all nodes.
 
-        As a modulus; so is the one from the bounds on both parts, where that is better.
+        As a modulus; so is the one from the bounds on both parts, where that is better. Members of a family
+        have their estimate instead.
         """
-        if not self.gains.any():
-            inside = (w >= self.span[0] * (1 - EDGE)) & (w <= self.span[1] * (1 + EDGE))
-            return np.where(inside, 0.0, np.inf)
-        nodes, rise, fall = self._gains
-        gain = (np.maximum(1, nodes / w[:, None]) * (rise + fall)).min(1, initial=np.inf)
-        gain = np.minimum(gain, np.hypot(*self._gain_parts(w)))
-        return self._scale * abs(self._residual(w)) ** 2 * gain
+        bound = np.zeros(len(w))
+        if self.gains.any():
+            nodes, rise, fall = self._gains
+            gain = (np.maximum(1, nodes / w[:, None]) * (rise + fall)).min(1, initial=np.inf)
+            gain = np.minimum(gain, np.hypot(*self._gain_parts(w)))
+            bound = self._scale * abs(self._residual(w)) ** 2 * gain
+            if not self.rounding_only:
+                return bound
+        inside = (w >= self.span[0] * (1 - EDGE)) & (w <= self.span[1] * (1 + EDGE))
+        return np.where(inside, bound, np.inf)
 
     def _gain_parts(self, w: Array) -> tuple[Array, Array]:
         """Return bounds on Re and −Im of Rᵀ(K + iωB)⁻¹R."""
