@@ -32,6 +32,12 @@ X_OF_SLOPES, QUASISTATIC = np.geomspace(1e-4, 1, 25), np.array([1e-6])
 # ---- motion in time
 
 
+def in_diameters(packing):
+    """Return the same packing of harmonic disks, its lengths in mean diameters."""
+    d = packing.mean_diameter
+    return pj.Packing(packing.positions / d, packing.radii / d, pj.Box(packing.box.cell / d))
+
+
 def contacts(packing):
     """Return those of the backbone."""
     found = reference.contacts(packing.positions, packing.radii, packing.box.cell)
@@ -39,7 +45,11 @@ def contacts(packing):
 
 
 def equations(packing, prestress):
-    """Return K (d, d), A (C, 2, d) with Au̇ = (Δu̇∥, Δu̇⊥), and f (d,); one disk of the backbone is held."""
+    """Return K (d, d), A (C, 2, d) with Au̇ = (Δu̇∥, Δu̇⊥), and f (d,); one disk of the backbone is held.
+
+    Lengths are in mean diameters, the ρ0 of the law.
+    """
+    packing = in_diameters(packing)
     found = contacts(packing)
     A = np.array([reference.rows(c, packing.radii, "simple-shear", arms=1) for c in found])
     free = np.flatnonzero(A.any((0, 1)))[2:]

@@ -35,7 +35,7 @@ class Potential:
     source: str
 
     def unit(self, d: float) -> float:
-        """Stiffness k(d) d^(α − 2) of disks of diameter ``d`` whose overlap is d: a scale for pressures, too."""
+        """Stiffness k(d) d^(α − 2) of disks whose overlap is their diameter ``d``."""
         return float(self.spring_constant(np.array(d)) * d ** (self.exponent - 2))
 
     def energy(self, r: Array, sigma: Array) -> Array:

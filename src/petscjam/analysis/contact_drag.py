@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import hyp2f1
 
-from petscjam.analysis.drag import NonlinearModulus, equivalent_time, unstable
+from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time, unstable
 from petscjam.box import Array
 from petscjam.damping import ContactDamping, viscous_form
 from petscjam.errors import InputError, SolverError
@@ -107,7 +107,10 @@ def self_consistent_drag(
     comm = resolve(comm)
     settings = np.asarray(omegas).tolist(), stress, alpha, strain, prestress, rtol, floor, most_iterations
     agree(comm, packing, *settings)
-    omega, guess = frequencies(omegas), equivalent_time(omegas, stress, alpha)
+    check_amplitude(stress, alpha)
+    d, omega = packing.mean_diameter, frequencies(omegas)
+    k = packing.potential.unit(d)
+    guess = equivalent_time(omega / k, stress / k, alpha)
     for what, value in (("rtol", rtol), ("floor", floor)):
         if not 0 < value <= 0.1:
             raise InputError(f"{what}: must be > 0 and at most 0.1, not {value!r}")
@@ -116,18 +119,18 @@ def self_consistent_drag(
     problem = LinearProblem(packing, ContactDamping(), [strain_mode(strain)], prestress, comm)
     log_tau, points = np.zeros(len(problem.network)), {}
     with _responses(problem) as respond:
-        for k, w in enumerate(np.argsort(omega)):
+        for done, w in enumerate(np.argsort(omega), 1):
             log_tau = log_tau + np.log(guess[w])  # from the neighbour, moved as the uniform one moves
 
             def times_of(found: _Response, omega: float = omega[w]) -> Array:
-                return contact_times(omega * found.strain * found.motion, alpha, floor)
+                return contact_times(omega / k * found.strain * found.motion / d, alpha, floor)
 
             points[w] = _fixed_point(
                 partial(respond, omega[w], stress), times_of, log_tau, rtol, most_iterations, comm
             )
             log_tau = np.log(points[w].contact_tau) - np.log(guess[w])
             if progress:
-                progress((k + 1) / len(omega), f"ω = {omega[w]:.3g}, {points[w].iterations} iterations")
+                progress(done / len(omega), f"ω = {omega[w]:.3g}, {points[w].iterations} iterations")
     columns = zip(*(points[w] for w in range(len(omega))), strict=True)
     found: dict[str, Any] = dict(zip(_Point._fields, map(np.array, columns), strict=True))
     if not found["converged"].all():

@@ -3,7 +3,7 @@
 The force on a contact is −k τ1^α ρ0^(1−α) |v|^(α−1) v, v its relative velocity where the disks touch. A
 linear force −kτv stands for it, τ chosen so that a cycle along the same path dissipates as much. Here it is
 the τα(ω, δσ) of a single spring under a force of amplitude δσ; in :mod:`petscjam.analysis.contact_drag` each
-contact has its own. docs/howto/drag.md derives both. k = ρ0 = τ1 = 1.
+contact has its own. docs/howto/drag.md derives both. ρ0 is the mean diameter d, and k = τ1 = 1.
 
 Axes: w frequency, c contact of the backbone.
 """
@@ -22,6 +22,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
+from petscjam.potential import potential
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import frequencies
 from petscjam.response.spectrum import EDGE, Spectrum
@@ -29,7 +30,7 @@ from petscjam.response.spectrum import EDGE, Spectrum
 
 @dataclass(frozen=True, eq=False)
 class NonlinearModulus:
-    """G*(ω; δσ) of one packing under nonlinear drag. Units: stress k, time τ1, length ρ0 (of the packing).
+    """G*(ω; δσ) of one packing under nonlinear drag. Units: stress k, time τ1.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ def line_factor(alpha: float) -> float:
 
 
 def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
-    """Return τα (W,) of a spring and a dashpot under a force δσ cos ωt (BT eqs. 24 and 25, corrected).
+    """Return τα (W,) of a spring k and a dashpot under a force δσρ0 cos ωt (BT eqs. 24 and 25, corrected).
 
     τ = C(α)(ωu₀)^(α−1), u₀ = δσ/√(1 + (ωτ)²). As h(ln τ) = 0, h has a slope between 1 and α: for any α > 0
     there is one root, between y₀, what it is for ωτ ≪ 1, and y₀ − h(y₀)/min(1, α).
@@ -155,7 +156,10 @@ def equivalent_drag(
     SolverError
         As :func:`petscjam.spectrum`.
     """
-    omega, tau = frequencies(omegas), equivalent_time(omegas, stress, alpha)
+    check_amplitude(stress, alpha)
+    omega = frequencies(omegas)
+    k = source.potential.unit(source.mean_diameter) if isinstance(source, Packing) else _unit(source)
+    tau = equivalent_time(omega / k, stress / k, alpha)
     low, high = float((omega * tau).min()), float((omega * tau).max())
     if isinstance(source, Packing):
         model = spectrum(source, (low, high), displacements=False, **options)
@@ -180,6 +184,16 @@ def equivalent_drag(
         strain=model.strain, prestress=model.prestress, packing=model.packing,
         notes=(*model.notes, *unstable(values, model.negative_modes)),
     )  # fmt: skip
+
+
+def _unit(model: Spectrum) -> float:
+    """Return the stiffness k of the packing's potential (:meth:`petscjam.potential.Potential.unit`)."""
+    law = potential(model.packing["potential"])
+    if "diameter" not in model.packing and law.unit(2.0) != 1:
+        raise InputError(
+            f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again"
+        )
+    return law.unit(model.packing.get("diameter", 1.0))
 
 
 def unstable(values: NDArray[np.complex128], negative_modes: int | None) -> list[str]:

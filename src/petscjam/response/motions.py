@@ -112,7 +112,7 @@ class Motions:
                 if not left > NEW * size:
                     break
                 if attempt:
-                    v = v / left
+                    v, size = v / left, 1.0
             else:
                 fresh = np.column_stack([fresh, v])
         return fresh

@@ -141,6 +141,6 @@ def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, 
     """Return what identifies ``packing`` in a result."""
     return {
         "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
-        "pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
-        "potential": packing.potential_name,
+        "diameter": packing.mean_diameter, "pressure": network.pressure, "Z": network.Z,
+        "rattlers": network.rattlers, "potential": packing.potential_name,
     }  # fmt: skip
