@@ -313,9 +313,10 @@ def quality(
 ) -> float:
     """Return how far curves are from each other, in squared standard errors: 1 if they agree within these.
 
-    A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). At each point the other curves
-    that reach over it, interpolated linearly, have a weighted mean Y ± dY: S is the mean of
-    (y − Y)²/(dy² + dY²) over quantities and over points that another curve reaches over. dY knows that
+    A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). Where curves share a stretch of
+    x, each is compared with the weighted mean Y ± dY of the others there, all interpolated linearly: S is the
+    mean of (y − Y)²/(dy² + dY²) over quantities, curves and the length shared. A mean over points instead
+    would jump where a point comes into the stretch shared, and a search would end there. dy and dY know that
     neighbouring points of a curve go together; taken to be independent they make S oscillate with the grid.
 
     Parameters
@@ -326,21 +327,25 @@ def quality(
     covariance : c arrays (q, w)
         Of each y with the next one; the last counts for nothing.
     """
-    X, Y, V, C = (np.concatenate(parts, axis=-1) for parts in (x, y, variance, covariance))
-    lengths = np.array([len(points) for points in x])
-    starts = np.cumsum(lengths) - lengths
-    left = np.array([np.searchsorted(points, X, side="right") for points in x]) - 1  # (c, c·w)
-    over = (left >= 0) & (left < lengths[:, None] - 1)
-    over[np.repeat(np.arange(len(x)), lengths), np.arange(len(X))] = False  # not its own curve
-    shared = over.any(axis=0)
-    over, a = over[:, shared], np.where(over, left + starts[:, None], 0)[:, shared]
-    b = a + 1
-    t = (X[shared] - X[a]) / (X[b] - X[a])
-    s = 1 - t
-    weights = over / (s * s * V[:, a] + 2 * s * t * C[:, a] + t * t * V[:, b])
-    total = weights.sum(axis=1)
-    mean = (weights * (s * Y[:, a] + t * Y[:, b])).sum(axis=1) / total
-    return float(((Y[:, shared] - mean) ** 2 / (V[:, shared] + 1 / total)).mean())
+    edges = np.unique(np.concatenate(x))  # in between, every curve is straight or absent
+    width, middle = np.diff(edges), (edges[:-1] + edges[1:]) / 2
+    reaches, lines, squares = [], [], []
+    for points, values, V, C in zip(x, y, variance, covariance, strict=True):
+        b = np.clip(np.searchsorted(points, middle), 1, len(points) - 1)
+        a = b - 1
+        t = np.clip((middle - points[a]) / (points[b] - points[a]), 0, 1)
+        s = 1 - t
+        reaches.append((points[0] < middle) & (middle < points[-1]))
+        lines.append(s * values[:, a] + t * values[:, b])
+        squares.append(s * s * V[:, a] + 2 * s * t * C[:, a] + t * t * V[:, b])
+    over, y_at, dy2 = np.array(reaches), np.array(lines), np.array(squares)  # (c, m), (c, q, m), (c, q, m)
+    others = 1 - np.eye(len(x))
+    shared = over & (others @ over > 0)
+    weights = over[:, None] / dy2
+    total = np.where(shared[:, None], np.tensordot(others, weights, 1), 1)
+    mean = np.tensordot(others, weights * y_at, 1) / total
+    S = ((y_at - mean) ** 2 / (dy2 + 1 / total)).mean(axis=1)
+    return float((S * shared * width).sum() / (shared * width).sum())
 
 
 def overlap(x: Sequence[Array]) -> float:
