@@ -1,25 +1,27 @@
-# make help lists the targets. Another Python with a complex PETSc: make test PYTHON=python3
+# make help lists the targets. STACK=wheel or STACK=debian chooses where .venv has its complex PETSc from
+# (docs/install.md). Another Python with a complex PETSc: make test PYTHON=python3
 SHELL := /bin/bash
 PYTHON = .venv/bin/python
 SETUP := pyproject.toml $(wildcard tools/setup.sh tools/requirements.py tools/constraints-debian.txt)
 # .venv is ours to make; any other Python is its owner's.
-READY := $(if $(filter .venv/bin/python,$(PYTHON)),.venv/.ready)
-READY_DOCS := $(if $(READY),.venv/.ready-docs)
-export PYTHON
+STAMP := .venv/.ready$(addprefix -,$(STACK))
+READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
+READY_DOCS := $(if $(READY),.venv/.docs)
+export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-newest lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
+.PHONY: help setup demo figures test test-fast test-slow test-fresh lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
-setup: $(READY) ## install what is missing (Debian packages, .venv)
+setup: $(READY) ## install what is missing (.venv; STACK=debian: Debian's packages)
 
-.venv/.ready: $(SETUP)
+$(STAMP): $(SETUP)
 	tools/setup.sh test dev
-	@touch $@
+	@touch .venv/.ready $@
 
-.venv/.ready-docs: .venv/.ready
+.venv/.docs: $(STAMP)
 	tools/setup.sh docs
 	@touch $@
 
@@ -35,9 +37,8 @@ test-fast: $(READY) ## the serial ones of these only
 test-slow: $(READY) ## the slow tests
 	LIMIT=14400 tools/test.sh $(PYTHON) slow
 
-test-newest: ## compile the newest PETSc in .venv-newest (20 minutes), then test with it
-	tools/setup-newest.sh
-	$(MAKE) test PYTHON=.venv-newest/bin/python
+test-fresh: ## demo, lint and tests on bare Debian 12 and 13, both stacks (as root; an hour)
+	tools/test-fresh.sh
 
 lint: $(READY) ## ruff, ruff format, mypy
 	$(PYTHON) -m ruff check

@@ -9,11 +9,31 @@ import pytest
 from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+START = dict(os.environ)
 MPI_ENV = Path(__file__).parents[1] / "tools" / "mpi-env.sh"
 
 # derandomize: every rank must try the same examples. deadline: compiling and MPI take as long as they take.
 settings.register_profile("petscjam", deadline=None, derandomize=True)
 settings.load_profile("petscjam")
+
+
+def is_quiet():
+    """Whether this is one of the ranks that report failures only."""
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD.rank > 0
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    if is_quiet():
+        config.option.verbose = -2
+        config.option.no_header = config.option.disable_warnings = True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_report_teststatus(report):
+    return (report.outcome, "", "") if is_quiet() and not report.failed else None
 
 
 @pytest.fixture
@@ -29,17 +49,24 @@ def environment():
     """Return the environment of Python's start, for subprocesses: ``subprocess.run(…, env=environment)``.
 
     MPI_Init adds variables to the one that a subprocess would inherit, and a second MPI stumbles over them.
+    PETSc's start adds some of OpenBLAS, and a NumPy that sees them from the first rounds otherwise.
     """
-    return dict(os.environ)
+    return dict(START)
 
 
 @pytest.fixture
-def mpirun(environment):
+def launch():
+    """Return the words before a command on so many ranks: ``[*launch(2), sys.executable, …]``."""
+    script = 'export PYTHON="$1" && . "$0" && shift && exec mpirun -n "$@"'
+    return lambda ranks: ["bash", "-c", script, str(MPI_ENV), sys.executable, str(ranks)]
+
+
+@pytest.fixture
+def mpirun(environment, launch):
     """Run this Python under an mpirun of its own: ``mpirun(2, "-m", "petscjam", "--help")``."""
-    launch = ["bash", "-c", '. "$0" && exec mpirun -n "$@"', str(MPI_ENV)]
 
     def run(ranks, *arguments, timeout=120, **options):
-        command = [*launch, str(ranks), sys.executable, *map(str, arguments)]
+        command = [*launch(ranks), sys.executable, *map(str, arguments)]
         options = {"capture_output": True, "text": True, "env": environment, **options}
         return subprocess.run(command, timeout=timeout, **options)
 

@@ -565,14 +565,14 @@ def kill(run):
     ("kills", "ranks"),
     [(3, 1), pytest.param(20, 2, marks=[pytest.mark.slow, pytest.mark.timeout(900)])],
 )
-def test_killed_at_random_moments_it_ends_with_the_same_files(tmp_path, environment, kills, ranks):
+def test_killed_at_random_moments_it_ends_with_the_same_files(tmp_path, environment, launch, kills, ranks):
     seeds = range(1, 3 * kills * ranks)
     settings = ["--particles", "64", "--pressure", "1e-1,1e-3", "--decompress", "--seeds", f"1:{len(seeds)}"]
     pj.prepare_library(tmp_path / "undisturbed", [64], [1e-1, 1e-3], seeds, decompress=True)
     expected, out = packings(tmp_path / "undisturbed"), tmp_path / "lib"
     command = [sys.executable, "-m", "petscjam", "prepare", *settings, "--resume", "-o", str(out)]
     if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
+        command = [*launch(ranks), *command]
     moment, killed = random.Random(1), 0
     for _ in range(kills):
         before = len(packings(out))

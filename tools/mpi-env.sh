@@ -1,5 +1,10 @@
-# Sourced before mpirun. Open MPI 4 reads OMPI_MCA_*, Open MPI 5 PRTE_MCA_*; others ignore both.
+# Sourced before mpirun, which is that of the MPI of $PYTHON (.venv/bin/python).
+# The wheel of MPICH, and conda, put it beside Python; that of Debian is on the path.
+beside=$(dirname "$(command -v "${PYTHON:-.venv/bin/python}")")
+[ ! -x "$beside/mpirun" ] || PATH=$(cd "$beside" && pwd):$PATH
+unset beside
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1} # one thread a rank
+# Open MPI 4 reads OMPI_MCA_*, Open MPI 5 PRTE_MCA_*; others ignore both.
 # A rank that waits gives way to other work; it costs nothing where there is none.
 export OMPI_MCA_mpi_yield_when_idle=1
 # More ranks than cores are fine, and two runs side by side must not be bound to the same core.

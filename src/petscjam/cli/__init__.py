@@ -12,7 +12,7 @@ from io import StringIO
 from typing import Any
 
 from petscjam.errors import InputError, SolverError
-from petscjam.parallel.comm import exit_together
+from petscjam.parallel.comm import exit_together, world
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     argv = list(sys.argv[1:] if arguments is None else arguments)
     leaving = MPI.COMM_WORLD.Dup()
     try:
-        return run(argv, MPI.COMM_WORLD)
+        return run(argv, world())
     except InputError as error:
         return exit_together(leaving, 2, f"petscjam: {error}")
     except SolverError as error:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,6 +14,26 @@ import numpy as np
 from petscjam.errors import InputError, SolverError
 
 T = TypeVar("T")
+
+
+def world() -> Any:
+    """Return COMM_WORLD.
+
+    Raises
+    ------
+    InputError
+        If a launcher of another MPI started several ranks: each would take itself for the only one.
+    """
+    from mpi4py import MPI
+
+    ranks = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "1"  # Open MPI, MPICH
+    if MPI.COMM_WORLD.size == 1 < int(ranks):
+        beside = Path(sys.executable).with_name("mpirun")
+        raise InputError(
+            f"{ranks} ranks were started, but each is alone: this mpirun is not of {MPI.get_vendor()[0]}, "
+            f"the MPI of mpi4py; take {beside if beside.exists() else 'that one'}"
+        )
+    return MPI.COMM_WORLD
 
 
 def resolve(comm: Any = None) -> Any:

@@ -14,8 +14,9 @@ from typing import Any
 from petscjam.errors import InputError, SolverError
 
 ADVICE = (
-    "on Debian install python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc "
-    "configured with --with-scalar-type=complex --download-mumps (docs: Installing)"
+    'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
+    "python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc configured with "
+    "--with-scalar-type=complex --download-mumps (docs: Installing)"
 )
 OPENBLAS_KERNELS = {
     "SKYLAKEX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
