@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,25 @@ def pytest_configure(config):
 @pytest.hookimpl(tryfirst=True)
 def pytest_report_teststatus(report):
     return (report.outcome, "", "") if is_quiet() and not report.failed else None
+
+
+NUMPYS = re.compile(rb"np\.(float|complex|u?int|str_|True_|False_)")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_text_in_numpys_words(tmp_path_factory):
+    """See that no message and no file has np.float64(1.4) for 1.4: repr of NumPy 2, also inside of tuples."""
+    from petscjam.errors import InputError, SolverError
+
+    def checked(error, message):
+        Exception.__init__(error, message)
+        assert not NUMPYS.search(message.encode()), message
+
+    InputError.__init__ = SolverError.__init__ = checked
+    yield
+    for path in tmp_path_factory.getbasetemp().rglob("*"):
+        found = path.is_file() and NUMPYS.search(path.read_bytes())
+        assert not found, f"{path}: {found[0]}"
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.kinematics import Form, StrainMode, form
 from petscjam.network import ContactNetwork
 
@@ -43,7 +43,7 @@ class DampingLaw:
         for item in fields(self):
             value = getattr(self, item.name)
             if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0):
-                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {value!r}")
+                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {shown(value)}")
             if not isinstance(value, bool):
                 object.__setattr__(self, item.name, float(value))
 
@@ -130,7 +130,7 @@ def law_or_default(damping: DampingLaw | None) -> DampingLaw:
     """Return ``damping``; left out, contact damping with β = 1 and rotations."""
     law = ContactDamping() if damping is None else damping
     if not isinstance(law, DampingLaw):
-        raise InputError(f"damping: {law!r} is not a law; take ContactDamping(…) or StokesDrag(…)")
+        raise InputError(f"damping: {shown(law)} is not a law; take ContactDamping(…) or StokesDrag(…)")
     return law
 
 

@@ -7,3 +7,10 @@ class InputError(ValueError):
 
 class SolverError(RuntimeError):
     """A solve failed or its result cannot be trusted; the message says why. Exit status 1."""
+
+
+def shown(value: object) -> str:
+    """Return ``repr(value)`` with Python's numbers for NumPy's, for a message: 1.4, not np.float64(1.4)."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(shown, value))})"
+    return repr(value.tolist() if hasattr(value, "tolist") else value)

@@ -20,7 +20,7 @@ from scipy.special import hyp2f1
 from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time, unstable
 from petscjam.box import Array
 from petscjam.damping import ContactDamping, viscous_form
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import Field, strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
@@ -113,9 +113,9 @@ def self_consistent_drag(
     guess = equivalent_time(omega / k, stress / k, alpha)
     for what, value in (("rtol", rtol), ("floor", floor)):
         if not 0 < value <= 0.1:
-            raise InputError(f"{what}: must be > 0 and at most 0.1, not {value!r}")
+            raise InputError(f"{what}: must be > 0 and at most 0.1, not {shown(value)}")
     if most_iterations < 1:
-        raise InputError(f"most_iterations: must be at least 1, not {most_iterations!r}")
+        raise InputError(f"most_iterations: must be at least 1, not {shown(most_iterations)}")
     problem = LinearProblem(packing, ContactDamping(), [strain_mode(strain)], prestress, comm)
     log_tau, points = np.zeros(len(problem.network)), {}
     with _responses(problem) as respond:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array, Integers
 from petscjam.damping import DampingLaw
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
@@ -307,7 +307,7 @@ class _Lanes(NamedTuple):
         L, height = abs(float(cell[x, 0])), abs(float(cell[1 - x, 1]))
         for what, value, most in (("width", width, height), ("bin", bin, L / 2)):
             if not (isinstance(value, int | float | np.number) and 0 < value <= most):
-                raise InputError(f"{what}: must be > 0 and at most {most:g}, not {value!r}")
+                raise InputError(f"{what}: must be > 0 and at most {most:g}, not {shown(value)}")
         lanes, bins = int(np.ceil(height / width)), int(np.ceil(L / bin))
         across = packing.box.fractional(packing.positions)[:, 1 - x]
         along = packing.positions[:, 0] - np.floor(across) * cell[1 - x, 0]

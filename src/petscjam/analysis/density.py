@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
@@ -143,7 +143,7 @@ def density_of_states(
     agree(comm, packing, moments, vectors, seed, prestress)
     for what, value, least in (("moments", moments, 2), ("vectors", vectors, 2), ("seed", seed, 0)):
         if not (isinstance(value, int | np.integer) and value >= least):
-            raise InputError(f"{what}: must be a whole number ≥ {least}, not {value!r}")
+            raise InputError(f"{what}: must be a whole number ≥ {least}, not {shown(value)}")
     # which law and strain is immaterial: only K_uu enters
     problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], prestress, comm)
     if problem.negative_modes:

@@ -20,7 +20,7 @@ from scipy.special import gamma
 
 from petscjam.box import Array
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
 from petscjam.potential import potential
 from petscjam.response.reduced import spectrum
@@ -208,4 +208,4 @@ def check_amplitude(stress: float, alpha: float) -> None:
     """Refuse what is not > 0 and finite."""
     for what, value in (("stress", stress), ("alpha", alpha)):
         if not (isinstance(value, int | float | np.number) and 0 < value < np.inf):
-            raise InputError(f"{what}: must be > 0 and finite, not {value!r}")
+            raise InputError(f"{what}: must be > 0 and finite, not {shown(value)}")

@@ -14,7 +14,7 @@ from petscjam.analysis.scaling import PowerFit, power_law
 from petscjam.box import Array
 from petscjam.damping import DampingLaw
 from petscjam.ensemble import survey, sweep
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.io.results import read_results
 from petscjam.packing.library import prepare_library, read_library
 from petscjam.parallel.comm import on_root
@@ -83,7 +83,7 @@ class Study:
         if parameter == "seeds":
             return self._parsed(seeds, parameter, str(value))
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{self.name}: {parameter} must be a number, not {value!r}")
+            raise InputError(f"{self.name}: {parameter} must be a number, not {shown(value)}")
         return value
 
     def points(self, parameter: str) -> Array:

@@ -41,14 +41,14 @@ def extended_xyz(packing: Packing) -> bytes:
     """
     symbols, species = _species(packing.radii)
     (ax, ay), (bx, by) = packing.box.cell.tolist()
-    lattice = f"{ax!r} {ay!r} 0 {bx!r} {by!r} 0 0 0 {2 * packing.radii.max()}"
+    lattice = f"{ax} {ay} 0 {bx} {by} 0 0 0 {2 * packing.radii.max()}"
     lines = [
         str(len(packing)),
         f'Lattice="{lattice}" Properties=species:S:1:pos:R:3:radius:R:1 pbc="T T F" '
         f"potential={packing.potential_name} source_checksum={packing.checksum}",
     ]
     for s, (x, y), radius in zip(species, packing.positions.tolist(), packing.radii.tolist(), strict=True):
-        lines.append(f"{symbols[s]} {x!r} {y!r} 0 {radius!r}")  # repr gives the digits that round-trip
+        lines.append(f"{symbols[s]} {x} {y} 0 {radius}")  # all digits that it takes to read the same bits
     return "\n".join([*lines, ""]).encode()
 
 

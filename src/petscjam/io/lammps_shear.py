@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.md.model import Model
 from petscjam.md.state import State
 from petscjam.storage import check_output, naming, write_atomically
@@ -137,19 +137,19 @@ def write_lammps(
         (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
     ):
         if not good:
-            raise InputError(f"lammps: its input has {what} {value!r}")
+            raise InputError(f"lammps: its input has {what} {shown(value)}")
     for name, value, good, what in (
         ("rate", rate, rate != 0, "other than 0"),
         ("strain", strain, strain > 0, "above 0"),
     ):
         if not (good and isfinite(value)):
-            raise InputError(f"lammps: {name} must be {what} and finite, not {value!r}")
+            raise InputError(f"lammps: {name} must be {what} and finite, not {shown(value)}")
     dt = model.step(dt, "heun")  # its limit is that of LAMMPS's step, too: dt times the fastest rate is 2
     steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
     if every is None:
         every = max(1, steps // FRAMES)
     if not (isinstance(every, Integral) and every > 0):
-        raise InputError(f"lammps: every must be a whole number above 0, not {every!r}")
+        raise InputError(f"lammps: every must be a whole number above 0, not {shown(every)}")
     velocities = state.velocities + np.outer((rate - state.rate) * state.positions[:, 1], [1, 0])
     start = replace(state, velocities=velocities, rate=rate).wrapped()
     settings = {"rate": start.rate, "dt": dt, "strain": start.strain, "time": start.time, "steps": steps,
@@ -159,7 +159,7 @@ def write_lammps(
         "in.shear": IN_SHEAR.format(
             name=model.name,
             Q=model.Q,
-            settings="\n".join(f"variable {name} index {value!r}" for name, value in settings.items()),
+            settings="\n".join(f"variable {name} index {value}" for name, value in settings.items()),
             disks=_disks(start.radii, model.normal, model.tangential / model.normal),
             integrator="nve/sphere disc" if model.rolls else "nve",
             columns=COLUMNS,
@@ -259,8 +259,8 @@ def _disks(radii: Array, normal: float, ratio: float) -> str:
     """Return the commands up to the forces: damping ``normal``, and ``ratio`` times as much tangentially."""
     diameters = (2 * np.unique(radii)).tolist()
     pairs = [
-        f"pair_coeff {a} {b} hooke {4 / (da + db) ** 2!r} {normal!r} damping velocity "
-        f"tangential linear_nohistory {ratio!r} 1.0e30"
+        f"pair_coeff {a} {b} hooke {4 / (da + db) ** 2} {normal} damping velocity "
+        f"tangential linear_nohistory {ratio} 1.0e30"
         for (a, da), (b, db) in combinations_with_replacement(enumerate(diameters, 1), 2)
     ]
     return DISKS.format(pairs="\n".join(pairs))
@@ -273,12 +273,12 @@ def _data(state: State, rolls: bool) -> str:
     atoms = np.column_stack([types + 1, 2 * state.radii, state.positions])
     moving = np.column_stack([state.velocities, state.spins * rolls])
     return "\n".join([
-        f"disks at a strain of {state.strain!r}\n",
+        f"disks at a strain of {state.strain}\n",
         f"{len(state)} atoms\n{len(sizes)} atom types\n",
-        f"0.0 {L!r} xlo xhi\n0.0 {L!r} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt!r} 0.0 0.0 xy xz yz\n",
+        f"0.0 {L} xlo xhi\n0.0 {L} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt} 0.0 0.0 xy xz yz\n",
         "Atoms # sphere\n",
-        *(f"{i} {t:.0f} {d!r} 1.0 {x!r} {y!r} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
+        *(f"{i} {t:.0f} {d} 1.0 {x} {y} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
         "\nVelocities\n",
-        *(f"{i} {vx!r} {vy!r} 0.0 0.0 0.0 {spin!r}" for i, (vx, vy, spin) in enumerate(moving.tolist(), 1)),
+        *(f"{i} {vx} {vy} 0.0 0.0 0.0 {spin}" for i, (vx, vy, spin) in enumerate(moving.tolist(), 1)),
         "",
     ])  # fmt: skip

@@ -18,7 +18,7 @@ from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
@@ -154,7 +154,7 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
     """
     with open_h5(file) as h5:
         if h5.attrs.get("format") not in KINDS or h5.attrs.get("schema") != SCHEMA:
-            raise InputError(f"holds {h5.attrs.get('format')!r}, not results")
+            raise InputError(f"holds {shown(h5.attrs.get('format'))}, not results")
         items = []
         for name, node in h5.items():
             law = _law(node["damping"]) if "damping" in node else node.attrs.get("damping")

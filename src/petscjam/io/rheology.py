@@ -88,7 +88,7 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
     if outside.any():
         raise InputError(f"times: {t[outside][0]:g} is outside what the model knows, {first:g} to {last:g}")
     lines = [_parameters(model, Mw=0, gamma=1), _setting(model), f"# times in tau1, {_moduli(model)}"]
-    impulse = f"# at the step itself comes {model.eta_inf!r} delta(t) besides"
+    impulse = f"# at the step itself comes {model.eta_inf} delta(t) besides"
     return _text([*lines, impulse, "t\tGt"], [t, model.G(t)], "\t")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.md.result import Run
 from petscjam.md.state import State
 
@@ -46,7 +46,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     """
     sizes, n = state.radii, len(state)
     if not radius > sizes.max():
-        raise InputError(f"maps: the radius must be above that of a disk, {sizes.max():g}, not {radius!r}")
+        raise InputError(f"maps: the radius must exceed that of a disk, {sizes.max():g}, not {shown(radius)}")
     first, second, r = state.box.pairs_within(state.positions, radius + sizes.max())
     i, j, r = np.append(first, second), np.append(second, first), np.concatenate([r, -r])
     distance = np.hypot(*r.T)

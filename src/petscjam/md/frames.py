@@ -51,8 +51,8 @@ def frame(state: State) -> bytes:
     row = " ".join(["%.12g"] * 4 + ["%.7g"] * (values.shape[1] - 4))
     lines = [
         str(len(state)),
-        f'Lattice="{ax!r} {ay!r} 0 {bx!r} {by!r} 0 0 0 {2 * state.radii.max()!r}" Properties={COLUMNS} '
-        f'pbc="T T F" Time={state.time!r} strain={state.strain!r} rate={state.rate!r} potential={POTENTIAL}',
+        f'Lattice="{ax} {ay} 0 {bx} {by} 0 0 0 {2 * state.radii.max()}" Properties={COLUMNS} '
+        f'pbc="T T F" Time={state.time} strain={state.strain} rate={state.rate} potential={POTENTIAL}',
         *(f"{SYMBOLS[s]} {row % tuple(some)}" for s, some in zip(species, values.tolist(), strict=True)),
     ]
     return "\n".join([*lines, ""]).encode()

@@ -11,7 +11,7 @@ from math import isfinite
 from typing import Any
 
 from petscjam.damping import LAWS, ContactDamping, DampingLaw
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 
 MODELS: dict[str, DampingLaw] = {
     "CD": ContactDamping(beta=1.0, rotations=False),  # VOT eq. 3
@@ -62,7 +62,8 @@ class Model:
             ("spin_drag", self.spin_drag, self.spin_drag >= 0, "0 or more"),
         ):
             if not (good and isfinite(value)):
-                raise InputError(f"shear: {name} must be {what} and finite, not {value!r}")
+                raise InputError(f"shear: {name} must be {what} and finite, not {shown(value)}")
+            object.__setattr__(self, name, float(value))
 
     @property
     def name(self) -> str:
@@ -111,7 +112,7 @@ class Model:
         if not 0 < dt <= largest * (1 + 1e-12):
             raise InputError(
                 f"shear: dt must be above 0 and, for {integrator} with {self.name} at Q = {self.Q:g}, "
-                f"at most {largest:.3g} tau_e, not {dt!r}"
+                f"at most {largest:.3g} tau_e, not {shown(dt)}"
             )
         return float(dt)
 
@@ -123,7 +124,7 @@ def model(law: str | DampingLaw, Q: float, **others: Any) -> Model:
             raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join(MODELS)}")
         law = MODELS[law]
     if not isinstance(law, tuple(LAWS.values())):
-        raise InputError(f"shear: {law!r} is neither the name of a model nor a damping law")
+        raise InputError(f"shear: {shown(law)} is neither the name of a model nor a damping law")
     return Model(law, Q, **others)
 
 

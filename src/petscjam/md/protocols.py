@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
     for name, value in (("rate", rate), ("to", to), ("kappa", kappa)):
         _check(name, value, value > 0, "above 0")
     if rate == to:
-        raise InputError(f"ramp: it begins and turns at the same strain rate, {rate!r}")
+        raise InputError(f"ramp: it begins and turns at the same strain rate, {shown(rate)}")
     updates = int(np.ceil(abs(log10(to / rate)) / kappa))
     sign = 1 if to > rate else -1
 
@@ -116,4 +116,4 @@ def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
 
 def _check(name: str, value: float, good: bool, what: str) -> None:
     if not (isfinite(value) and good):
-        raise InputError(f"shear: {name} must be {what}, not {value!r}")
+        raise InputError(f"shear: {name} must be {what}, not {shown(value)}")

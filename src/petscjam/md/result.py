@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.md.state import State
 from petscjam.storage import check_output, group, open_h5, write_atomically
 
@@ -232,7 +232,7 @@ def write_run(h5: Any, run: Run) -> None:
 def read_run(h5: Any) -> Run:
     """Return the run of an open HDF5 file."""
     if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") != SCHEMA:
-        raise InputError(f"holds {h5.attrs.get('format')!r}, not a run with schema {SCHEMA}")
+        raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with schema {SCHEMA}")
     settings = {k: v.item() if isinstance(v, np.generic) else v for k, v in h5["settings"].attrs.items()}
     rows = {key: h5["rows"][key][()] for key in ROWS}
     blocks = {key: h5["blocks"][key][()] for key in BLOCKS}

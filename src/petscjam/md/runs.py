@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.damping import DampingLaw
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.md import protocols
 from petscjam.md.book import Book
 from petscjam.md.model import Model
@@ -178,7 +178,7 @@ def _check_threads(threads: int) -> None:
 
     most: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     if not 1 <= threads <= most:
-        raise InputError(f"shear: threads must be from 1 to {most} (NUMBA_NUM_THREADS), not {threads!r}")
+        raise InputError(f"shear: threads must be from 1 to {most} (NUMBA_NUM_THREADS), not {shown(threads)}")
 
 
 def _resumed(

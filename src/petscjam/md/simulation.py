@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.md import kernels
 from petscjam.md.kernels import BINS, HEUN, SINGLE, SUMS, Disks, Events, Law
 from petscjam.md.model import BULK, Model
@@ -57,7 +57,7 @@ class Simulation:
         q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
         m = np.ones(n) if masses is None else np.array(masses, dtype=float)
         if m.shape != (n,) or not (m > 0).all():
-            raise InputError(f"shear: masses must be {n} numbers above 0, not {masses!r}")
+            raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
         self._disks = Disks(q, q.copy(), np.zeros((n, 3)), state.radii.copy(), m, q[:, :2].copy())
         exponent = None if model.exponent == 2 else float(model.exponent)
         self._law = Law(

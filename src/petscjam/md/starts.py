@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.md.model import Model
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import Run, is_run, read
@@ -46,7 +46,7 @@ def first_state(
         if n is not None and n != len(state):
             raise InputError(f"shear: {origin} has {len(state)} disks, not {n}")
         if phi is not None and abs(phi - state.phi) > 1e-6:
-            raise InputError(f"shear: {origin} has packing fraction {state.phi:.8g}, not {phi!r}")
+            raise InputError(f"shear: {origin} has packing fraction {state.phi:.8g}, not {shown(phi)}")
     v, spins = state.velocities.copy(), state.spins
     if state.rate != 0 and protocol.bulk == "scale":
         v, spins = v * (rate / state.rate), spins * (rate / state.rate)

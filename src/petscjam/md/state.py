@@ -13,7 +13,7 @@ from numbers import Integral
 import numpy as np
 
 from petscjam.box import Array, Box, frozen
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
 
 RATIO = 1.4
@@ -110,7 +110,7 @@ class State:
 def radii(n: int) -> Array:
     """Return the radii of VOT: half of the disks of diameter 1, half of 1.4."""
     if not isinstance(n, Integral) or n < 16 or n % 2:
-        raise InputError(f"shear: the number of disks must be even and at least 16, not {n!r}")
+        raise InputError(f"shear: the number of disks must be even and at least 16, not {shown(n)}")
     return np.where(np.arange(n) < n // 2, 0.5, 0.5 * RATIO)
 
 
@@ -118,7 +118,7 @@ def cell_length(sizes: Array, phi: float) -> float:
     """Return the edge L at which ``sizes`` (radii) have packing fraction ``phi`` (VOT eq. 11)."""
     if not 0 < phi <= DENSEST:
         raise InputError(
-            f"shear: the packing fraction phi must be above 0 and at most {DENSEST}, not {phi!r}"
+            f"shear: the packing fraction phi must be above 0 and at most {DENSEST}, not {shown(phi)}"
         )
     return float(np.sqrt(np.pi * (sizes**2).sum() / phi))
 
@@ -126,7 +126,7 @@ def cell_length(sizes: Array, phi: float) -> float:
 def random_state(n: int, phi: float, seed: int) -> State:
     """Return disks at rest, at random positions: they overlap."""
     if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"shear: the seed must be a whole number, 0 or more, not {seed!r}")
+        raise InputError(f"shear: the seed must be a whole number, 0 or more, not {shown(seed)}")
     sizes = radii(n)
     L = cell_length(sizes, phi)
     x = np.random.default_rng(seed).random((n, 2)) * L

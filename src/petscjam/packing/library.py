@@ -19,7 +19,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.network import ContactNetwork
 from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
@@ -231,7 +231,8 @@ def _planned(
         for pressure, name in s.names():
             if name in names:
                 raise InputError(
-                    f"prepare: (particles, pressure, seed) = {names[name]} and {(s.n, pressure, s.seed)} "
+                    f"prepare: (particles, pressure, seed) = {shown(names[name])} and "
+                    f"{shown((s.n, pressure, s.seed))} "
                     f"are the same packing, {name}"
                 )
             names[name] = s.n, pressure, s.seed

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.box import Array, Box, frozen
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 from petscjam.potential import Potential, potential
 
 
@@ -117,7 +117,9 @@ class Packing:
                 i = int(np.argmax(bad))
                 raise InputError(f"packing: the {name} of disk {i} is {values[i]}")
         if not isinstance(self.box, Box):
-            raise InputError(f"packing: the box must be a Box, as Box([[Lx, 0], [0, Ly]]), not {self.box!r}")
+            raise InputError(
+                f"packing: the box must be a Box, as Box([[Lx, 0], [0, Ly]]), not {shown(self.box)}"
+            )
         potential(self.potential_name)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "radii", radii)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.box import Array, Box
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import Instability, judge, rounding_force
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
@@ -322,16 +322,16 @@ def check(n: int, pressure: float, seed: int, **others: Any) -> None:
     ``others`` are keyword arguments of it, by name; those left out are taken to be right.
     """
     if not isinstance(n, Integral) or n < 8:
-        raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {n!r}")
+        raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {shown(n)}")
     if not isinstance(pressure, Real):
-        raise InputError(f"prepare: the pressure must be a number above 0, not {pressure!r}")
+        raise InputError(f"prepare: the pressure must be a number above 0, not {shown(pressure)}")
     if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"prepare: the seed must be a whole number, 0 or more, not {seed!r}")
+        raise InputError(f"prepare: the seed must be a whole number, 0 or more, not {shown(seed)}")
     for name, low, high in (("ratio", 0, 100), ("composition", 0, 1), ("polydispersity", 0, 0.3)):
         value = others.get(name, 0.1)
         if not isinstance(value, Real) or not low <= value <= high or (name == "ratio" and value == 0):
             above = "above 0" if name == "ratio" else f"{low} or more"
-            raise InputError(f"prepare: the {name} must be {above} and at most {high}, not {value!r}")
+            raise InputError(f"prepare: the {name} must be {above} and at most {high}, not {shown(value)}")
     kind = others.get("potential_name", "harmonic")
     if kind not in POTENTIALS:
         raise InputError(f"prepare: the potential {kind!r} is unknown; known are {', '.join(POTENTIALS)}")
@@ -353,14 +353,14 @@ def check_relaxation(
             raise InputError("prepare: a packing stabilised against shear needs a target pressure")
     elif not 0 < pressure < 0.5 * unit:
         raise InputError(
-            f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {pressure!r}"
+            f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {shown(pressure)}"
         )
     elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5 * unit):
         raise InputError(
-            f"prepare: at a pressure of {pressure!r} rounding leaves more than 1e-6 of the forces "
+            f"prepare: at a pressure of {shown(pressure)} rounding leaves more than 1e-6 of the forces "
             f"between {n} disks; the lowest is {lowest:.1e}"
         )
     if method not in METHODS:
         raise InputError(f"prepare: the method {method!r} is unknown; known are {', '.join(METHODS)}")
     if not isinstance(budget, Integral) or budget < 1:
-        raise InputError(f"prepare: the budget must be a whole number of evaluations, not {budget!r}")
+        raise InputError(f"prepare: the budget must be a whole number of evaluations, not {shown(budget)}")

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from petscjam.box import Array, Integers
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import contact_rows, strain_mode
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
@@ -207,7 +207,7 @@ def lowest_modes(
 def check(count: int, network: ContactNetwork) -> None:
     """Refuse a ``count`` that is not a whole number of at least 1, and a backbone of one disk."""
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-        raise InputError(f"count: must be a whole number of at least 1, not {count!r}")
+        raise InputError(f"count: must be a whole number of at least 1, not {shown(count)}")
     if network.backbone.sum() < 2:
         raise InputError("packing: a backbone of one disk has no modes but translations")
 

@@ -12,6 +12,7 @@ import resource
 import time
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from petscjam.box import Array
 from petscjam.damping import DampingLaw, law_or_default
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve, total
@@ -150,7 +151,7 @@ def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, 
     try:
         low, high = (float(end) for end in span)
     except (TypeError, ValueError):
-        raise InputError(f"{what}: must be two numbers, not {span!r}") from None
+        raise InputError(f"{what}: must be two numbers, not {shown(span)}") from None
     if not 0 < low <= high < np.inf:
         raise InputError(f"{what}: must be 0 < low ≤ high, not {low:g} and {high:g}")
     if np.log10(high) - np.log10(low) > MOST_DECADES:
@@ -160,8 +161,8 @@ def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, 
 
 def checked_rtol(rtol: float, least: float) -> None:
     """Refuse what is not between ``least`` and 0.1."""
-    if not (isinstance(rtol, int | float) and least <= rtol <= 0.1):
-        raise InputError(f"rtol: must be between {least:g} and 0.1, not {rtol!r}")
+    if not (isinstance(rtol, Real) and least <= rtol <= 0.1):
+        raise InputError(f"rtol: must be between {least:g} and 0.1, not {shown(rtol)}")
 
 
 def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
