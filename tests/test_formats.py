@@ -119,7 +119,7 @@ def test_gsd_out_of_the_plane(frames):
 
 
 def test_gsd_without_diameters(frames):
-    refuses(frames({"diameter": None}), "particles/diameter", "['A', 'B']")
+    refuses(frames({"diameter": None}), "no diameter", "--diameters A:…,B:…")
 
 
 def test_gsd_of_equal_disks_may_have_the_default_diameter(frames):
@@ -292,11 +292,11 @@ def test_lammps_provenance(lammps):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("# sphere", "# atomic", ["line 16", "'Atoms # atomic'", "no radii", "diameter"]),
-        (" # sphere", "", ["line 16", "'Atoms'", "no radii"]),
+        ("# sphere", "# full", ["line 16", "'Atoms # full'", "diameter"]),
+        ("# sphere", "# atomic", ["line 18", "8 columns"]),
+        (" # sphere", "", ["line 16", "'Atoms'", "'Atoms # sphere'"]),
         ("Atoms #", "Molecules #", ["section Atoms"]),
         ("3 atoms", "4 atoms", ["line 16", "3 rows", "4 atoms"]),
-        ("Atoms # sphere\n", "Atoms # sphere", ["line 16", "2 rows", "3 atoms"]),
         ("3.875", "3.87x", ["line 18", "3.87x"]),
         ("3.875", "nan", ["line 18", "nan"]),
         ("3.875 7", "3.875", ["line 18", "10 columns"]),
@@ -315,7 +315,8 @@ def test_bad_lammps_data_is_refused_with_its_line(lammps, old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("z radius", "z mass", ["line 11", "radius or diameter", "x y z mass"]),
+        ("type x y z radius", "kind x y z mass", ["line 11", "radius, diameter or type", "x y z mass"]),
+        ("z radius", "z mass", ["radius", "--diameters 1:…,2:…"]),
         ("x y z radius", "vx vy z radius", ["line 11", "xs ys", "vx vy"]),
         ("pp pp pp", "pp ff pp", ["line 7", "ff"]),
         ("xy xz yz pp", "abc pp", ["line 7", "'abc pp pp pp'"]),

@@ -299,10 +299,12 @@ def test_bad_text_is_refused_with_its_line(tmp_path, old, new, words):
     [
         ("potential=harmonic", "", ["line 2", "potential"]),
         ("Lattice=", "Cell=", ["line 2", "Lattice"]),
-        (":radius:R:1", ":weight:R:1", ["line 2", "radius"]),
+        (":radius:R:1", ":weight:R:1", ["radius", "--diameters H:…,He:…"]),
+        (":radius:R:1", ":radius:R:3", ["line 2", "radius:R:1"]),
         ("R:3", "R:three", ["line 2", "three"]),
         ('"T T F"', '"T F F"', ["line 2", "periodic"]),
         (" 0 1.0", " 0.3 1.0", ["plane"]),
+        (" 0 1.0", " 0 1_0", ["line 3", "1_0"]),
         (" 0 1.0", " 0 nan", ["line 3", "nan"]),
         ("16\n", "17\n", ["line 18", "17"]),
         ("=harmonic", "=Hertzian", ["Hertzian"]),

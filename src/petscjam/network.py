@@ -139,7 +139,7 @@ class ContactNetwork:
         if len(kept) == 0:
             raise InputError(
                 f"network: no contacts are left once rattlers are removed (the packing has {len(self)}); "
-                "it is not jammed"
+                "it is not jammed; import --relax --pressure P brings it to a pressure"
             )
         pieces = kept._pieces()
         if pieces > 1:

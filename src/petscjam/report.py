@@ -13,6 +13,7 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
+from petscjam.errors import InputError
 from petscjam.md.result import Run
 from petscjam.network import ContactNetwork
 from petscjam.packing.library import Library
@@ -23,18 +24,17 @@ from petscjam.response.result import ComplexModulus
 
 
 def describe_packing(packing: Packing) -> str:
-    """Return a few lines on ``packing``: geometry, contacts, certificate; then provenance, indented."""
-    network, c = ContactNetwork.of(packing), packing.certificate
+    """Return a few lines on ``packing``, jammed or not: geometry, contacts, certificate; then provenance."""
+    c = packing.certificate
     cell = "; ".join(" ".join(f"{x:.8g}" for x in vector) for vector in packing.box.cell)
     lines = {
         "units": "lengths as in the source, k of the potential",
-        "disks": f"{len(packing)} ({network.rattlers} rattlers)",
+        "disks": f"{len(packing)}",
         "packing fraction": f"{packing.phi:.10f}",
         "cell": f"{cell} (rows are the lattice vectors)",
         "mean diameter": f"{packing.mean_diameter:.8g}",
         "potential": packing.potential_name,
-        "pressure": f"{network.pressure:.10g} k",
-        "contacts": f"{len(network)}, {len(network.without_rattlers())} in the backbone, Z = {network.Z:.6g}",
+        **_contacts(packing),
         "checksum": packing.checksum,
         "proved minimum": {None: "not judged", True: "yes", False: "no"}[c.proved],
     }
@@ -62,6 +62,24 @@ def describe_packing(packing: Packing) -> str:
             value = f"{len(value.get('evaluations', []))} points"
         text.append(f"  {name:16s} {' '.join(str(value).split())}")
     return "\n".join(text)
+
+
+def _contacts(packing: Packing) -> dict[str, str]:
+    try:
+        network = ContactNetwork.of(packing)
+    except InputError as error:  # two disks on one point
+        return {"contacts": f"not known: {error}"}
+    inside = int((network.backbone[network.i] & network.backbone[network.j]).sum())
+    lines = {
+        "rattlers": f"{network.rattlers}",
+        "pressure": f"{network.pressure:.10g} k",
+        "contacts": f"{len(network)}, {inside} in the backbone, Z = {network.Z:.6g}",
+    }
+    try:
+        network.without_rattlers()
+    except InputError as error:
+        lines["state"] = str(error)
+    return lines
 
 
 def describe_library(library: Library) -> str:

@@ -1,24 +1,60 @@
-"""Values of options: numbers, lists and ranges."""
+"""Numbers in text, and values of options: numbers, lists and ranges."""
 
 from __future__ import annotations
 
 import argparse
+import re
 from typing import Any
 
 MOST = 1_000_000  # seeds, or points of a range
+DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
+WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+
+
+def parsed(text: str) -> float:
+    """Return the finite number that ``text`` is, as C or Fortran (1.5D-3) writes it.
+
+    All text goes through here: Python's own ``float`` takes ``1_5``, too.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    text = text.strip()
+    value = float(text.replace("D", "e").replace("d", "e")) if DECIMAL.fullmatch(text) else float("nan")
+    if not abs(value) < float("inf"):
+        raise ValueError(f"{text!r} is not a finite number")
+    return value
+
+
+def parsed_whole(text: str) -> int:
+    """Return the whole number that ``text`` is, written in decimal digits.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if not WHOLE.fullmatch(text.strip()):
+        raise ValueError(f"{text!r} is not a whole number")
+    return int(text)
 
 
 def number(text: str) -> float:
     """Parse a finite number."""
-    import math
-
     try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
+        return parsed(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def integer(text: str) -> int:
+    """Parse a whole number."""
+    try:
+        return parsed_whole(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def numbers(text: str) -> list[float]:
@@ -31,7 +67,7 @@ def numbers(text: str) -> list[float]:
 def whole(text: str) -> list[int]:
     """Parse ``A,B,…``."""
     try:
-        return [int(part) for part in text.split(",")]
+        return [parsed_whole(part) for part in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a whole number nor a list A,B,…") from None
 
@@ -41,7 +77,7 @@ def seeds(text: str) -> list[int]:
     if ":" not in text:
         return whole(text)
     try:
-        first, last = (int(part) for part in text.split(":"))
+        first, last = (parsed_whole(part) for part in text.split(":"))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a range A:B of whole numbers") from None
     if last < first:
@@ -59,16 +95,16 @@ def points(text: str) -> Any:
     try:
         if ":" in text:
             *parts, last = text.split(":")
-            count = int(last)
+            count = parsed_whole(last)
         else:
             parts = text.split(",")
-        values = np.array([float(part) for part in parts])
+        values = np.array([parsed(part) for part in parts])
         if count is not None and len(values) != 2:
             raise ValueError
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:N nor a list A,B,…") from None
-    for value in values[~(np.isfinite(values) & (values > 0))]:
-        raise argparse.ArgumentTypeError(f"{value:g} is not above 0 and finite")
+    for value in values[~(values > 0)]:
+        raise argparse.ArgumentTypeError(f"{value:g} is not above 0")
     if count is None:
         return values
     if count < 1:
@@ -114,3 +150,14 @@ def pairs(text: str) -> list[tuple[float, float]]:
     if any(len(one) != 2 for one in found):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list A:B,…")
     return [(a, b) for a, b in found]
+
+
+def diameters(text: str) -> dict[str, float]:
+    """Parse ``TYPE:DIAMETER,…``."""
+    found: dict[str, float] = {}
+    for one in text.split(","):
+        kind, colon, value = one.rpartition(":")
+        if not (colon and kind.strip()) or kind.strip() in found:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a list TYPE:DIAMETER,…, each type once")
+        found[kind.strip()] = number(value)
+    return found

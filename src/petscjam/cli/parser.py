@@ -19,7 +19,19 @@ from petscjam.md.model import BULK, INTEGRATORS, MODELS
 from petscjam.packing.prepare import BUDGET, METHODS
 from petscjam.potential import POTENTIALS
 from petscjam.storage import release
-from petscjam.values import evenly, frequencies, number, numbers, pairs, points, seeds, triple, whole
+from petscjam.values import (
+    diameters,
+    evenly,
+    frequencies,
+    integer,
+    number,
+    numbers,
+    pairs,
+    points,
+    seeds,
+    triple,
+    whole,
+)
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -59,7 +71,7 @@ def build_parser() -> Parser:
                    help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
                         "counted (default 1e-3)")  # fmt: skip
     either = p.add_mutually_exclusive_group()
-    either.add_argument("--seed", type=int, help="seed of the random start (default 1)")
+    either.add_argument("--seed", type=integer, help="seed of the random start (default 1)")
     either.add_argument("--seeds", type=seeds, metavar="A:B",
                         help="many seeds: A to B, both counted, or a list A,B,…")  # fmt: skip
     p.add_argument("--shear-stabilised", action="store_true",
@@ -76,10 +88,10 @@ def build_parser() -> Parser:
                    help="contact potential (default harmonic)")  # fmt: skip
     p.add_argument("--method", choices=METHODS, default="fire",
                    help="minimiser: FIRE or nonlinear conjugate gradients (default fire)")  # fmt: skip
-    p.add_argument("--threads", type=int, metavar="T",
+    p.add_argument("--threads", type=integer, metavar="T",
                    help="threads of each rank (default: its share of the cores if the packings are large and "
                         "few, else 1)")  # fmt: skip
-    p.add_argument("--budget", type=int, default=BUDGET, metavar="E",
+    p.add_argument("--budget", type=integer, default=BUDGET, metavar="E",
                    help=f"evaluations of the force for each packing (default {BUDGET})")  # fmt: skip
     p.add_argument("--config", type=Path, metavar="FILE.toml",
                    help="settings by the names of these options, as pressure = \"1e-2:1e-4:9\"; the command "
@@ -93,13 +105,12 @@ def build_parser() -> Parser:
         "say what a packing, a result, a sheared run, or a folder of packings or of runs holds",
     )
     p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
+    reading(p)
 
     p = add(known, "import", verbs.import_, "turn another program's packing into ours (no rescaling)")
-    text = "jamBashBulk text, jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ"
-    p.add_argument("file", type=Path, metavar="FILE", help=text)
-    p.add_argument("--index", type=int, default=0, help="which packing of a file with several (default 0)")
-    text = "contact potential of a file that does not say it (GSD, LAMMPS: default harmonic)"
-    p.add_argument("--potential", choices=POTENTIALS, help=text)
+    text = "jamBashBulk text, jsrc or jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ, H5MD"
+    p.add_argument("file", type=Path, metavar="FILE", help=f"{text}; also packed by gzip, bzip2 or xz")
+    reading(p)
     text = "minimise its energy again, at constant volume unless --pressure is given"
     p.add_argument("--relax", action="store_true", help=text)
     p.add_argument("--pressure", type=number, metavar="P", help="of --relax: target pressure, in units of k")
@@ -114,7 +125,7 @@ def build_parser() -> Parser:
         help="of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and "
         "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
         "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), "
-        "lammps (a folder with the input of the same disks); default xyz or csv",
+        "lammps (a folder with the input of the same disks); default: as OUT ends, or xyz or csv",
     )
     p.add_argument(
         "--group",
@@ -177,7 +188,7 @@ def build_parser() -> Parser:
 
     p = add(known, "modes", analyses.modes, "lowest modes of the stiffness, or slowest relaxations", RANKS)
     packings(p)
-    p.add_argument("--count", type=int, default=50, metavar="M", help="how many (default 50)")
+    p.add_argument("--count", type=integer, default=50, metavar="M", help="how many (default 50)")
     text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
     p.add_argument("--relaxation", action="store_true", help=text)
     damping(p)
@@ -188,9 +199,9 @@ def build_parser() -> Parser:
     p = add(known, "density", analyses.density, "density of states D(omega) of all modes, unit masses", RANKS)
     packings(p)
     text = "Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)"
-    p.add_argument("--moments", type=int, default=1024, metavar="M", help=text)
-    p.add_argument("--vectors", type=int, default=16, metavar="V", help="random vectors (default 16)")
-    p.add_argument("--seed", type=int, default=1, help="of the random vectors (default 1)")
+    p.add_argument("--moments", type=integer, default=1024, metavar="M", help=text)
+    p.add_argument("--vectors", type=integer, default=16, metavar="V", help="random vectors (default 16)")
+    p.add_argument("--seed", type=integer, default=1, help="of the random vectors (default 1)")
     prestress(p)
     team_size(p)
     output(p, "OUT.h5", "D(omega) with its error and resolution")
@@ -288,6 +299,17 @@ def build_parser() -> Parser:
     return parser
 
 
+def reading(p: Parser) -> None:
+    """Add what a file of another program may not say."""
+    p.add_argument("--index", type=integer, default=0, metavar="K",
+                   help="which packing of a file with several, from 0 on (default 0)")  # fmt: skip
+    text = "contact potential of a file that does not say it (default harmonic; of jsrc harmonic-relative)"
+    p.add_argument("--potential", choices=POTENTIALS, help=text)
+    p.add_argument("--diameters", type=diameters, metavar="TYPE:X,…",
+                   help="diameter of each type of disks, in the length unit of the file, for a file without "
+                        "radii, as 1:1.0,2:1.4")  # fmt: skip
+
+
 def packings(p: Parser) -> None:
     """Add the packings to work on."""
     p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
@@ -306,7 +328,7 @@ def disks(p: Parser) -> None:
                    help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
                    )  # fmt: skip
     either = p.add_mutually_exclusive_group()
-    either.add_argument("--seed", type=int, help="seed of the random start (default 1)")
+    either.add_argument("--seed", type=integer, help="seed of the random start (default 1)")
     either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds: A to B, both counted")
     p.add_argument("--start", type=Path, metavar="FILE",
                    help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
@@ -322,12 +344,12 @@ def disks(p: Parser) -> None:
                    help="Stokes drag on disks, in m/tau_e (default 0)")  # fmt: skip
     p.add_argument("--spin-drag", type=number, default=0.0, metavar="X",
                    help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)")  # fmt: skip
-    p.add_argument("--threads", type=int, default=1, metavar="T",
+    p.add_argument("--threads", type=integer, default=1, metavar="T",
                    help="of a run; they pay from 10000 disks on (default 1)")  # fmt: skip
     p.add_argument("--row-time", type=number, metavar="X",
                    help="tau_e between rows of the time series (default a thousandth of the run; ramp: 1000)",
                    )  # fmt: skip
-    p.add_argument("--frames", type=int, default=0, metavar="K",
+    p.add_argument("--frames", type=integer, default=0, metavar="K",
                    help="snapshots for OVITO, in the folder OUT.frames (default 0)")  # fmt: skip
     output(p, "RUN.h5", "the run, or a folder for several")
 
@@ -364,7 +386,7 @@ def prestress(p: Parser) -> None:
 
 def team_size(p: Parser) -> None:
     """Add how ranks share the work."""
-    p.add_argument("--team-size", type=int, metavar="R",
+    p.add_argument("--team-size", type=integer, metavar="R",
                    help="ranks that work on a packing together (default 1; more where packings are few or "
                         "large)")  # fmt: skip
 

@@ -101,14 +101,20 @@ def info(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.packing.library import read_library
         from petscjam.report import describe_library, describe_packing, describe_run, describe_runs, table
 
-        if options.file.is_dir():
-            runs = read_folder(options.file)
-            return describe_runs(runs) if runs else describe_library(read_library(options.file))
-        if is_run(options.file):
-            return describe_run(read(options.file))
-        if is_result(options.file):
-            return table(read_results(options.file))
-        return describe_packing(import_packing(options.file))
+        file, own = options.file, True
+        if file.is_dir():
+            runs = read_folder(file)
+            said = describe_runs(runs) if runs else describe_library(read_library(file))
+        elif is_run(file):
+            said = describe_run(read(file))
+        elif is_result(file):
+            said = table(read_results(file))
+        else:
+            own = False
+            said = describe_packing(import_packing(file, options.index, options.potential, options.diameters))
+        if own and (options.index or options.potential or options.diameters):
+            raise InputError(f"info: --index, --potential and --diameters go with packings; {file} is none")
+        return f"{'file':18s} {file}\n{said}"
 
     say(comm, on_root(comm, text))
 
@@ -124,27 +130,52 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
         start(comm)
 
     def work() -> None:
+        from petscjam.io.exporters import format_of
         from petscjam.io.importers import import_packing
-        from petscjam.packing.certify import certify
         from petscjam.packing.prepare import relax_packing
         from petscjam.storage import check_output, naming
 
+        format_of(options.output, "h5md", "h5md")
         check_output(options.output, overwrite=options.overwrite, inputs=[options.file])
-        packing = import_packing(options.file, options.index, options.potential)
+        packing = import_packing(options.file, options.index, options.potential, options.diameters)
         if options.relax:
             with naming(options.file), progress("relax", show=True) as report:
+                before = _measured(packing)
                 packing = relax_packing(
                     packing, options.pressure, shear_stabilised=options.shear_stabilised, progress=report
                 )
-        elif packing.certificate.proved is None:
-            try:
-                packing = certify(packing)
-            except (InputError, SolverError) as error:
-                print(f"petscjam: warning: {options.file} is not judged: {error}", file=sys.stderr)
+            print(f"before: {before}\nafter:  {_measured(packing)}")
+        else:
+            packing = _judged(packing, options.file)
         packing.write(options.output, overwrite=options.overwrite)
         print(f"{options.output}: {_in_short(packing)}")
 
     on_root(comm, work)
+
+
+def _measured(packing: Any) -> str:
+    from petscjam.network import ContactNetwork
+
+    network = ContactNetwork.of(packing)
+    return f"p = {network.pressure:.6g} k, phi = {packing.phi:.6f}, Z = {network.Z:.4f}"
+
+
+def _judged(packing: Any, file: Path) -> Any:
+    """Return a packing with a certificate, if it can have one; warn of what is wrong with it."""
+    from petscjam.io.importers import imbalance
+    from petscjam.packing.certify import certify
+
+    def warn(text: str) -> None:
+        print(f"petscjam: warning: {file}{text}", file=sys.stderr, flush=True)
+
+    try:
+        packing = certify(packing) if packing.certificate.proved is None else packing
+    except (InputError, SolverError) as error:
+        warn(f" is not judged: {error}")
+    with suppress(InputError):
+        if said := imbalance(packing):
+            warn(f": the forces do not balance: {said}; --relax minimises the energy")
+    return packing
 
 
 def export(options: argparse.Namespace, comm: Any) -> None:
@@ -153,7 +184,7 @@ def export(options: argparse.Namespace, comm: Any) -> None:
     def work() -> None:
         from petscjam.ensemble import average, export_average
         from petscjam.io.exporters import FORMATS as PICTURES
-        from petscjam.io.exporters import export_packing
+        from petscjam.io.exporters import export_packing, format_of
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result
         from petscjam.io.rheology import FORMATS as CURVES
@@ -166,7 +197,8 @@ def export(options: argparse.Namespace, comm: Any) -> None:
             return
         curve = is_result(options.file)
         known, kind = (CURVES, "result") if curve else (PICTURES, "packing")
-        fmt = options.to or ("csv" if curve else "xyz")
+        default = "csv" if curve else "xyz"
+        fmt = format_of(options.output or "", options.to, default)
         if fmt not in known:
             raise InputError(
                 f"export: {options.file} is a {kind}; its formats are {', '.join(known)}, not {fmt}"
@@ -194,11 +226,12 @@ def export(options: argparse.Namespace, comm: Any) -> None:
 
 
 def _export_run(options: argparse.Namespace) -> Path:
+    from petscjam.io.exporters import format_of
     from petscjam.io.lammps_shear import write_lammps
     from petscjam.md.model import model_of
     from petscjam.md.result import export_csv, read
 
-    fmt = options.to or "csv"
+    fmt = format_of(options.output or "", options.to, "csv")
     target: Path = options.output or options.file.with_suffix(f".{fmt}")
     run = read(options.file)
     if fmt == "csv":

@@ -5,32 +5,61 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petscjam.box import Array, Box, Integers
 from petscjam.errors import InputError
-from petscjam.io.importers import gsd_library
+from petscjam.io.gsd_file import gsd_library
 from petscjam.packing.packing import Packing
 from petscjam.storage import check_output, naming, release, write_atomically
 
 
 def export_packing(
-    packing: Packing, path: str | PathLike[str], to: str = "xyz", overwrite: bool = False
+    packing: Packing, path: str | PathLike[str], to: str | None = None, overwrite: bool = False
 ) -> None:
-    """Write ``packing`` to ``path`` in the format ``to``, in its own length unit.
+    """Write ``packing`` to ``path``, in its own length unit.
+
+    Parameters
+    ----------
+    packing : Packing
+    path : path
+    to : str, optional
+        ``xyz``, ``gsd`` or ``h5md``. Left out: the ending of ``path`` decides; without one, ``xyz``.
+    overwrite : bool
 
     Raises
     ------
     InputError
-        If the format is unknown or its library missing, or ``path`` exists (unless ``overwrite``) or
-        cannot be written.
+        If the format is unknown, not that of the ending, or its library missing, or ``path`` exists (unless
+        ``overwrite``) or cannot be written.
     """
+    to = format_of(path, to, "xyz")
     if to not in FORMATS:
         raise InputError(f"export: {to!r} is unknown; known are {', '.join(FORMATS)}")
     check_output(path, overwrite=overwrite)
     with naming(path):
         write_atomically(path, FORMATS[to](packing))
+
+
+def format_of(path: str | PathLike[str], to: str | None, default: str) -> str:
+    """Return the format to write to ``path``: ``to``, or that of the ending, or, without one, ``default``.
+
+    Raises
+    ------
+    InputError
+        If the ending is that of another format than ``to``, or, without ``to``, of none.
+    """
+    ending = Path(path).suffix
+    meant = ENDINGS.get(ending.lower())
+    if to is None and meant is None and ending:
+        known = ", ".join(ENDINGS)
+        raise InputError(f"export: {path}: no format ends in {ending!r}; known are {known}; or say --to")
+    if None not in (to, meant) and to != meant:
+        raise InputError(f"export: {path}: {ending!r} is the ending of {meant}, not of {to}")
+    return to or meant or default
 
 
 def extended_xyz(packing: Packing) -> bytes:
@@ -67,11 +96,13 @@ def gsd(packing: Packing) -> bytes:
     s = Box(np.array([a, b])).fractional(packing.positions)
     frame = library.hoomd.Frame()
     frame.configuration.dimensions = 2
-    frame.configuration.box = [width, height, 0, tilt / height, 0, 0]
+    frame.configuration.box = np.array([width, height, 0, tilt / height, 0, 0], dtype=np.float32)
     frame.particles.N = len(packing)
-    frame.particles.position = np.pad(
-        (s - np.floor(s) - 0.5) @ [[width, 0], [tilt, height]], ((0, 0), (0, 1))
-    ).astype(np.float32)
+    x, y = ((s - np.floor(s) - 0.5) @ [[width, 0], [tilt, height]]).astype(np.float32).T
+    Lx, Ly, _, xy, _, _ = frame.configuration.box
+    y = _inside(y, np.zeros_like(y), np.float32(0), Ly)
+    x = _inside(x, y, xy, Lx)
+    frame.particles.position = np.stack([x, y, np.zeros_like(x)], axis=1)
     frame.particles.diameter = (2 * packing.radii).astype(np.float32)
     frame.particles.types, frame.particles.typeid = _species(packing.radii)
     with TemporaryDirectory() as folder:
@@ -86,6 +117,20 @@ def gsd(packing: Packing) -> bytes:
         ) as file:
             library.hoomd.HOOMDTrajectory(file).append(frame)
         return path.read_bytes()
+
+
+def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
+    """Return ``x`` (N,) of single precision with −L/2 ≤ x − xy·y < L/2, computed in single and in double.
+
+    The cast may put a disk on the upper edge; it is rounded towards the middle instead.
+    """
+    for power in range(-24, 0):
+        s = [(x.astype(t) - xy.astype(t) * y.astype(t)) / L.astype(t) for t in (np.float32, np.float64)]
+        out = (np.minimum(*s) < -0.5).astype(np.float32) - (np.maximum(*s) >= 0.5)
+        if not out.any():
+            break
+        x = x + out * np.float32(L * 2.0**power)
+    return x
 
 
 def h5md(packing: Packing) -> bytes:
@@ -105,4 +150,8 @@ def _species(radii: Array) -> tuple[list[str], Integers]:
 
 
 SYMBOLS = ["H", "He", "Li", "Be", "B", "C", "N", "O", "F", "Ne"]
+ENDINGS = {
+    ".xyz": "xyz", ".extxyz": "xyz", ".gsd": "gsd", ".h5md": "h5md", ".h5": "h5md", ".hdf5": "h5md",
+    ".csv": "csv", ".tts": "tts", ".gt": "gt",
+}  # fmt: skip
 FORMATS = {"xyz": extended_xyz, "gsd": gsd, "h5md": h5md}

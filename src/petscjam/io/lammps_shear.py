@@ -22,6 +22,7 @@ from petscjam.errors import InputError, shown
 from petscjam.md.model import Model
 from petscjam.md.state import State
 from petscjam.storage import check_output, naming, write_atomically
+from petscjam.values import parsed, parsed_whole
 
 SIZES = 10  # radii at most: each is an atom type, each pair of types has its spring constant
 FRAMES = 100  # of a run, unless told otherwise
@@ -196,19 +197,19 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
     with naming(source):
         found = dict(re.findall(r"^variable (\w+) index (\S+)$", source.read_text(), re.MULTILINE))
         try:
-            rate, dt, strain, time = (float(found[name]) for name in ("rate", "dt", "strain", "time"))
+            rate, dt, strain, time = (parsed(found[name]) for name in ("rate", "dt", "strain", "time"))
         except (KeyError, ValueError) as error:
             raise InputError(f"not as petscjam wrote it: no number for {error}") from error
     with naming(path):
         try:
             lines = path.read_text().split("ITEM: TIMESTEP\n")[1:][frame].splitlines()
             step, count, columns, disks = (
-                int(lines[0]),
-                int(lines[2]),
+                parsed_whole(lines[0]),
+                parsed_whole(lines[2]),
                 lines[7],
                 np.loadtxt(lines[8:], ndmin=2),
             )
-            (xlo, xhi, xy), (ylo, yhi, _) = (map(float, line.split()) for line in lines[4:6])
+            (xlo, xhi, xy), (ylo, yhi, _) = (map(parsed, line.split()) for line in lines[4:6])
         except (ValueError, IndexError) as error:
             raise InputError(f"no frame {frame}, or a damaged one ({error})") from error
         width, length = xhi - xlo - abs(xy), yhi - ylo  # the bounds are those of all corners
@@ -247,7 +248,7 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
             if words[:2] == ["Loop", "time"]:
                 break
             try:
-                row = [float(word) for word in words]
+                row = [float(word) for word in words]  # not of ours: nan is to be seen
             except ValueError:  # a warning
                 continue
             if len(row) == len(names):

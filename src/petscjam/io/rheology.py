@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from petscjam.box import Array
 from petscjam.errors import InputError
+from petscjam.io.exporters import format_of
 from petscjam.response.reduced import PLATEAU
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
@@ -52,10 +53,11 @@ def export_rheology(
     Raises
     ------
     InputError
-        If the format is unknown, frequencies or times are bad or not for this format, there is no reduced
-        model where one is needed, or ``path`` exists (unless ``overwrite``) or cannot be written.
+        If the format is unknown or not that of the ending of ``path``, frequencies or times are bad or not
+        for this format, there is no reduced model where one is needed, or ``path`` exists (unless
+        ``overwrite``) or cannot be written.
     """
-    if fmt not in FORMATS:
+    if format_of(path, fmt, fmt) not in FORMATS:
         raise InputError(f"export: {fmt!r} is unknown; known are {', '.join(FORMATS)}")
     for name, given, formats in (("omegas", omegas, ("tts", "csv")), ("times", times, ("gt",))):
         if given is not None and fmt not in formats:

@@ -28,6 +28,7 @@ from petscjam.parallel.comm import on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming, open_h5, write_atomically
+from petscjam.values import parsed, parsed_whole
 
 SCHEMA = 1
 RECIPE, INDEX = "library.json", "index.csv"
@@ -411,8 +412,9 @@ def _if_number(value: Any) -> Any:
 def _failed(line: Mapping[str, str]) -> dict[str, Any]:
     try:
         return {
-            "file": line["file"], "particles": int(line["particles"]), "target": float(line["target"]),
-            "seed": int(line["seed"]), "seconds": _number(line["seconds"]), "failure": line["failure"],
+            "file": line["file"], "particles": parsed_whole(line["particles"]),
+            "target": parsed(line["target"]), "seed": parsed_whole(line["seed"]),
+            "seconds": _number(line["seconds"]), "failure": line["failure"],
         }  # fmt: skip
     except ValueError:  # damaged
         return {}
@@ -420,7 +422,7 @@ def _failed(line: Mapping[str, str]) -> dict[str, Any]:
 
 def _number(text: str) -> float | None:
     try:
-        return float(text)
+        return parsed(text)
     except ValueError:
         return None
 

@@ -1,0 +1,79 @@
+"""GSD, as HOOMD-blue writes it; lengths there are in single precision as a rule."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petscjam.box import Box
+from petscjam.errors import InputError
+from petscjam.io.reading import Wanted, check_plane
+from petscjam.packing.packing import Packing
+
+SINGLE = 1e-6  # diameters of single and of double precision differ by less, relatively
+
+
+def read_gsd(path: Path, wanted: Wanted) -> Packing:
+    """Read a frame of GSD. Diameters are those of disks, else those of the shapes of their types."""
+    try:
+        with gsd_library().hoomd.open(path) as trajectory:
+            index = wanted.one_of(len(trajectory))
+            frame = trajectory[index]
+        disks = frame.particles
+        types = [disks.types[k] for k in disks.typeid]
+    except InputError:
+        raise
+    except (RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
+        reason = re.sub(rf"[: ]*{re.escape(str(path))}", "", str(error))
+        raise InputError(f"damaged GSD file, or not of HOOMD's schema ({reason})") from error
+    x, y, z = disks.position.T
+    diameters = disks.diameter.astype(float)
+    by_default = bool((diameters == 1).all())
+    shapes = dict(zip(disks.types, disks.type_shapes or [], strict=False))
+    by_shape = {name: _diameter(name, shapes[name]) for name in dict.fromkeys(types) if shapes.get(name)}
+    for i, name in enumerate(types):
+        if name in by_shape:
+            if not by_default and abs(diameters[i] - by_shape[name]) > SINGLE * by_shape[name]:
+                raise InputError(
+                    f"particles/diameter of disk {i} is {diameters[i]:g}, but {by_shape[name]:g} by the "
+                    f"shape of its type {name}"
+                )
+            diameters[i] = by_shape[name]
+    # The default is 1: for disks of one type it may be meant, for several it says nothing.
+    unknown = by_default and len(by_shape) < len({*types}) and (len({*types}) > 1 or wanted.diameters)
+    radii = wanted.radii({} if unknown else {"diameter": diameters}, types)
+    check_plane(z, radii)
+    width, height, _, tilt, _, _ = np.asarray(frame.configuration.box, dtype=float)
+    origin: dict[str, Any] = {"source": path.name, "format": "GSD", "index": index, "precision": str(x.dtype)}
+    origin["header"] = {"step": int(frame.configuration.step)}
+    cell = np.array([[width, 0], [tilt * height, height]])
+    return Packing(
+        np.stack([x, y], axis=1), radii, Box(cell), wanted.potential or "harmonic", provenance=origin
+    )
+
+
+def _diameter(name: str, shape: Any) -> float:
+    """Return the diameter of a shape, if it is a disk."""
+    diameter = shape.get("diameter") if isinstance(shape, dict) and shape.get("type") == "Sphere" else None
+    if not isinstance(diameter, int | float):
+        raise InputError(f"type {name} is no disk: its shape in particles/type_shapes is {shape}")
+    return float(diameter)
+
+
+def gsd_library() -> Any:
+    """Return the package gsd.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    try:
+        import gsd.fl
+        import gsd.hoomd
+    except ImportError as error:
+        raise InputError("GSD needs the package gsd: pip install gsd") from error
+    return gsd
