@@ -189,7 +189,8 @@ def _cause(packing: Packing, network: ContactNetwork, force: float) -> str:
         if reach < 30 * _last_digit(largest, digits):
             return f"positions of {digits} digits"
     digits = _digits(np.unique(packing.radii))
-    if digits < 8 and reach < 3 * _last_digit(float(packing.radii.max()), digits):
+    last = _last_digit(float(packing.radii.max()), digits)
+    if digits < 8 and 0.1 * last < reach < 3 * last:
         return f"radii of {digits} digits, if these are rounded"
     return f"the disks are not at a minimum of the potential {packing.potential_name}"
 
@@ -226,7 +227,7 @@ def _arrays(*names: str) -> Callable[[Path, bytes], bool]:
 
 
 def _text_with(pattern: bytes) -> Callable[[Path, bytes], bool]:
-    return lambda path, head: re.search(pattern, head) is not None
+    return lambda path, head: re.search(pattern, head.replace(b"\r", b"\n")) is not None
 
 
 FORMATS = (
@@ -238,6 +239,6 @@ FORMATS = (
     Format("jamBashBulk text", _text_with(rb"(?m)^N = \d+ ,L = "), read_jambashbulk),
     Format("GSD", lambda path, head: head.startswith(GSD_SIGNATURE), read_gsd, typed=True),
     Format("LAMMPS dump", _text_with(rb"\AITEM: "), read_lammps_dump, typed=True),
-    Format("LAMMPS data", _text_with(rb"(?m)^\s*\d+\s+atoms\b"), read_lammps_data, typed=True),
-    Format("extended XYZ", _text_with(rb"\A\d+[ \t]*[\r\n]"), read_xyz, typed=True),
+    Format("LAMMPS data", _text_with(rb"(?m)^\s*[-+.\d]+\s+atoms\b"), read_lammps_data, typed=True),
+    Format("extended XYZ", _text_with(rb"\A[-+.\d]+[ \t]*\n"), read_xyz, typed=True),
 )

@@ -48,6 +48,9 @@ def read_xyz(path: Path, wanted: Wanted) -> Packing:
         raise InputError(f"line {n + 1}: Properties must have pos:R:3 or pos:R:2")
     table = text.table(rows, width, columns["pos"])
     kind = next((name for name in ("species", "type") if name in columns), None)
+    checksum = entries.get("source_checksum") if own else None
+    if checksum is None:
+        text.check_end(rows)
     types = [text.words(row)[columns[kind][0]] if kind else "1" for row in rows]
     radii = wanted.radii({name: text.table(rows, width, columns[name])[:, 0] for name in sizes}, types)
     lattice = numbers(re.sub(r"[\[\]{},]", " ", entries.pop("Lattice")).split(), n)
@@ -64,10 +67,7 @@ def read_xyz(path: Path, wanted: Wanted) -> Packing:
     origin |= {"index": wanted.index} if len(starts) > 1 else {}
     origin |= text.precision(rows, columns["pos"])
     packing = Packing(table[:, :2], radii, Box(vectors[:, :2]), law, provenance=origin)
-    checksum = entries.get("source_checksum") if own else None
-    if checksum is None:
-        text.check_end(rows)
-    elif checksum != packing.checksum:
+    if checksum not in (None, packing.checksum):
         raise InputError(
             f"the checksum is {packing.checksum}, but {checksum} on line {n + 1}: the file was cut or "
             "changed; if on purpose, take source_checksum out of that line"
