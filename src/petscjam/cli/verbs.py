@@ -101,20 +101,20 @@ def info(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.packing.library import read_library
         from petscjam.report import describe_library, describe_packing, describe_run, describe_runs, table
 
-        file, own = options.file, True
+        file, kind = options.file, ""
         if file.is_dir():
-            runs = read_folder(file)
+            kind, runs = "a folder", read_folder(file)
             said = describe_runs(runs) if runs else describe_library(read_library(file))
         elif is_run(file):
-            said = describe_run(read(file))
+            kind, said = "a sheared run", describe_run(read(file))
         elif is_result(file):
-            said = table(read_results(file))
+            kind, said = "a result", table(read_results(file))
         else:
-            own = False
-            said = describe_packing(import_packing(file, options.index, options.potential, options.diameters))
-        if own and (options.index or options.potential or options.diameters):
-            raise InputError(f"info: --index, --potential and --diameters go with packings; {file} is none")
-        return f"{'file':18s} {file}\n{said}"
+            packing = import_packing(file, options.index, options.potential, options.diameters)
+            said = f"{'file':18s} {file}\n{describe_packing(packing)}"
+        if kind and (options.index or options.potential or options.diameters):
+            raise InputError(f"info: {file} is {kind}; --index, --potential and --diameters go with packings")
+        return said
 
     say(comm, on_root(comm, text))
 
