@@ -38,7 +38,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, Any]]:
             yield classic.variables
     except InputError:
         raise
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AssertionError) as error:
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AssertionError, MemoryError) as error:
         raise InputError(f"damaged NetCDF file, or not the expected content ({error})") from error
 
 
