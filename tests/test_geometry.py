@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from petscjam.box import Box
@@ -91,57 +91,6 @@ def test_deforming_a_box_deforms_its_vectors():
 def test_bad_cells_are_refused(cell, message):
     with pytest.raises(InputError, match=message):
         Box(cell)
-
-
-# Pairs
-
-
-def pairs_by_loops(box, positions, cutoff):
-    """Every pair (i, j, r), i < j, and half of the pairs of a disk with its own images.
-
-    Pairs at the cutoff itself, where rounding decides, spoil the example.
-    """
-    found = []
-    for i, j in product(range(len(positions)), repeat=2):
-        for shift in product(range(-12, 13), repeat=2):
-            r = positions[j] - positions[i] + np.array(shift) @ box.cell
-            assume(abs(np.hypot(*r) - cutoff) > 1e-9)
-            if np.hypot(*r) < cutoff and (i < j or (i == j and shift > (0, 0))):
-                found.append((i, j, r))
-    return found
-
-
-@given(boxes(tilts=2.0), st.integers(1, 4), st.floats(0.1, 2.2), seeds)
-def test_pairs_are_those_of_loops(box, n, cutoff, seed):
-    """The cutoff is up to twice the cell: two images of a neighbour, and a disk's own images, count."""
-    positions = np.random.default_rng(seed).uniform(-1, 2, (n, 2)) @ box.cell
-    i, j, r = box.pairs_within(positions, cutoff)
-    loops = pairs_by_loops(box, positions, cutoff)
-    assert len(i) == len(loops)
-    for a, b, v in loops:
-        distance = np.linalg.norm(r - v, axis=1)
-        if a == b:
-            distance = np.minimum(distance, np.linalg.norm(r + v, axis=1))
-        assert ((i == a) & (j == b) & (distance < 1e-9)).sum() == 1
-
-
-@given(boxes(), st.integers(-4, 4), seeds)
-def test_pairs_do_not_see_a_tilt_by_whole_lattice_vectors(box, n, seed):
-    positions = np.random.default_rng(seed).uniform(0, 1, (6, 2)) @ box.cell
-    here = box.pairs_within(positions, 0.6)
-    there = sheared_by_whole_vectors(box, n).pairs_within(positions, 0.6)
-    assert sorted(np.hypot(*here[2].T)) == pytest.approx(sorted(np.hypot(*there[2].T)), abs=1e-9)
-
-
-def test_a_disk_meets_two_images_of_its_neighbour():
-    i, j, r = Box.square(1.0).pairs_within([[0.0, 0.0], [0.5, 0.0]], 0.6)
-    assert (i.tolist(), j.tolist()) == ([0, 0], [1, 1])
-    assert r == pytest.approx(np.array([[-0.5, 0], [0.5, 0]]))
-
-
-def test_no_pairs_within_a_short_cutoff():
-    i, j, r = Box.square(1.0).pairs_within([[0.0, 0.0], [0.5, 0.5]], 0.1)
-    assert len(i) == len(j) == len(r) == 0
 
 
 # The contact network

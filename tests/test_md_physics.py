@@ -20,9 +20,9 @@ from petscjam import reference_md as twin
 from petscjam.errors import SolverError
 from petscjam.md import kernels
 from petscjam.md.model import INTEGRATORS, MODELS, Model
-from petscjam.md.neighbours import CHUNK
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state
+from petscjam.neighbours import CHUNK
 
 EACH = pytest.mark.parametrize("integrator", INTEGRATORS)
 OTHERS = pytest.mark.parametrize("others", [{}, {"exponent": 2.5}, {"drag": 0.7, "spin_drag": 0.05}], ids=str)

@@ -92,42 +92,5 @@ class Box:
         """Return the cell after the deformation x → F x."""
         return Box(self.cell @ np.asarray(gradient).T)
 
-    def pairs_within(self, positions: ArrayLike, cutoff: float) -> tuple[Integers, Integers, Array]:
-        """Find every pair of disks, and of a disk and an image, closer than ``cutoff``.
-
-        A cell may be so small that a disk meets two images of another, or its own.
-
-        Returns
-        -------
-        i, j : (C,)
-            Disks of each pair; ``i < j``, or ``i == j`` for a disk and its own image.
-        r : (C, 2)
-            Vector from i to that image of j.
-        """
-        from scipy.spatial import cKDTree
-
-        lattice = self.reduced
-        inverse = np.linalg.inv(lattice)
-        s = np.asarray(positions) @ inverse
-        shift0 = np.floor(s)
-        s -= shift0
-        x = s @ lattice
-        reach = cutoff * np.linalg.norm(inverse, axis=0)  # in units of each lattice vector
-        shells = [np.arange(-m, m + 1) for m in np.ceil(reach).astype(int)]
-        shifts = np.array(np.meshgrid(*shells)).reshape(2, -1).T
-        ghosts = s[None] + shifts[:, None]
-        near = ((ghosts > -reach) & (ghosts < 1 + reach)).all(-1)
-        which, disk = np.nonzero(near)
-        found = cKDTree(x).sparse_distance_matrix(
-            cKDTree(ghosts[near] @ lattice), cutoff, output_type="coo_matrix"
-        )
-        i, j, shift = found.row.astype(np.int64), disk[found.col], shifts[which[found.col]]
-        ahead = (shift[:, 0] > 0) | ((shift[:, 0] == 0) & (shift[:, 1] > 0))
-        keep = (i < j) | ((i == j) & ahead)
-        i, j, shift = i[keep], j[keep], shift[keep]
-        r = np.asarray(positions)[j] - np.asarray(positions)[i] + (shift - shift0[j] + shift0[i]) @ lattice
-        order = np.lexsort((r[:, 1], r[:, 0], j, i))
-        return i[order], j[order], r[order]
-
 
 _SHELL = np.array([[a, b] for a in (-1, 0, 1) for b in (-1, 0, 1)], dtype=float)

@@ -55,13 +55,11 @@ class ContactNetwork:
         InputError
             If two disks coincide.
         """
+        from petscjam.neighbours import pairs
+
         radii = packing.radii
-        i, j, r = packing.box.pairs_within(packing.positions, 2 * radii.max())
-        sigma = radii[i] + radii[j]
-        distance = np.hypot(r[:, 0], r[:, 1])
-        touching = distance <= sigma
-        i, j, r = i[touching], j[touching], r[touching]
-        sigma, distance = sigma[touching], distance[touching]
+        i, j, r = pairs(packing.box, packing.positions, radii)
+        sigma, distance = radii[i] + radii[j], np.hypot(r[:, 0], r[:, 1])
         if (distance < 1e-12 * sigma).any():  # images of the same point differ by rounding
             c = int(np.argmin(distance / sigma))
             raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")

@@ -44,10 +44,12 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     InputError
         If ``radius`` is too small.
     """
+    from petscjam.neighbours import pairs
+
     sizes, n = state.radii, len(state)
     if not radius > sizes.max():
         raise InputError(f"maps: the radius must exceed that of a disk, {sizes.max():g}, not {shown(radius)}")
-    first, second, r = state.box.pairs_within(state.positions, radius + sizes.max())
+    first, second, r = pairs(state.box, state.positions, sizes, radius)  # more than overlap the circles
     i, j, r = np.append(first, second), np.append(second, first), np.concatenate([r, -r])
     distance = np.hypot(*r.T)
     area = np.pi * sizes**2 + np.bincount(i, _overlap(distance, radius, sizes[j]), n)

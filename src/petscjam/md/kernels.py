@@ -15,7 +15,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from petscjam.box import Array
-from petscjam.md.neighbours import CHUNK
+from petscjam.neighbours import CHUNK
 
 BATCH = 256
 BINS = 100

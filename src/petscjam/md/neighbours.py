@@ -1,8 +1,7 @@
-"""Which disks may touch before the list is built anew: a cell list over disks that are sorted in space.
+"""Which disks may touch before the list is built anew: the pairs of :func:`petscjam.neighbours.find`.
 
-Sorted disks are cut into runs of CHUNK. Pairs inside a run come first and need no image; the others, which
-join two runs or cross the edge of the cell, come last, with the image (nx, ny) of the second disk. So runs
-are independent, and sums do not depend on the number of threads.
+Disks are sorted in space. Pairs inside a run of them come first and need no image; the others come last,
+with the image (nx, ny) of the second disk. So runs are independent: sums do not depend on their threads.
 
 Between two builds disks keep their coordinates, wherever they go. A list holds while twice the largest
 non-affine displacement, and what the shear brings together, are less than the skin.
@@ -19,8 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from petscjam.box import Array
-
-CHUNK = 4096
+from petscjam.neighbours import find
 
 
 class Pairs(NamedTuple):
@@ -67,69 +65,39 @@ def wrap(q, L, strain, rate):
 
 
 @njit(cache=True, error_model="numpy")
-def order_by_cell(q, L, cells):
-    """Return the stable order of disks by cell, row by row, and where each cell starts."""
+def order_in_space(q, L):
+    """Return the stable order of disks by square bins, one for each disk, row by row."""
     n = len(q)
-    cell, order = np.empty(n, np.int64), np.empty(n, np.int64)
-    start = np.zeros(cells * cells + 1, np.int64)
+    across = max(int(np.sqrt(n)), 1)
+    bin, order = np.empty(n, np.int64), np.empty(n, np.int64)
+    fill = np.zeros(across * across + 1, np.int64)
     for a in range(n):
-        column, row = min(int(q[a, 0] / L * cells), cells - 1), min(int(q[a, 1] / L * cells), cells - 1)
-        cell[a] = row * cells + column
-        start[cell[a] + 1] += 1
-    start = np.cumsum(start)
-    fill = start.copy()
+        column, row = min(int(q[a, 0] / L * across), across - 1), min(int(q[a, 1] / L * across), across - 1)
+        bin[a] = row * across + column
+        fill[bin[a] + 1] += 1
+    fill = np.cumsum(fill)
     for a in range(n):
-        order[fill[cell[a]]] = a
-        fill[cell[a]] += 1
-    return order, start
+        order[fill[bin[a]]] = a
+        fill[bin[a]] += 1
+    return order
 
 
 @njit(cache=True, error_model="numpy")
-def find_pairs(q, R, L, strain, skin, cells, start):
-    """List the pairs of sorted disks closer than Ri + Rj + ``skin``; ``cells`` is at least 3."""
-    n = len(q)
-    size = 8 * n + 64
-    inside = np.empty((size, 2), np.uint32)
-    across = np.empty((size, 2), np.uint32)
-    images = np.empty((size, 2), np.int64)
-    runs = np.zeros((n - 1) // CHUNK + 2, np.int64)
-    m = rest = 0
-    for row in range(cells):
-        for column in range(cells):
-            here = row * cells + column
-            for a in range(start[here], start[here + 1]):
-                if max(m, rest) + n > size:
-                    inside = np.concatenate((inside, np.empty_like(inside)))
-                    across = np.concatenate((across, np.empty_like(across)))
-                    images = np.concatenate((images, np.empty_like(images)))
-                    size *= 2
-                for up in range(2):
-                    over = row + up == cells
-                    ny = 1 if over else 0
-                    middle = int(np.floor((q[a, 0] - strain * L) / L * cells)) if over else column
-                    for side in range(-1 if up else 0, 2):
-                        nx = (middle + side) // cells
-                        there = (0 if over else row + up) * cells + middle + side - nx * cells
-                        for b in range(a + 1 if there == here else start[there], start[there + 1]):
-                            dx = q[b, 0] - q[a, 0] + (nx + ny * strain) * L
-                            dy = q[b, 1] - q[a, 1] + ny * L
-                            reach = R[a] + R[b] + skin
-                            if dx * dx + dy * dy < reach * reach:
-                                if nx == 0 and ny == 0 and a // CHUNK == b // CHUNK:
-                                    inside[m, 0], inside[m, 1] = a, b
-                                    m += 1
-                                else:
-                                    across[rest, 0], across[rest, 1] = a, b
-                                    images[rest, 0], images[rest, 1] = nx, ny
-                                    rest += 1
-                runs[a // CHUNK + 1] = m
-    i = np.concatenate((inside[:m, 0], across[:rest, 0]))
-    j = np.concatenate((inside[:m, 1], across[:rest, 1]))
-    inverse = np.empty(m + rest)
-    for c in range(m + rest):
+def list_pairs(x, R, L, strain, skin):
+    """List the pairs of disks at ``x``, sorted and in the square, closer than Ri + Rj + ``skin``."""
+    turns = np.rint(strain)
+    lattice = np.zeros((2, 2))
+    lattice[0, 0] = lattice[1, 1] = L
+    lattice[1, 0] = (strain - turns) * L
+    i, j, runs, images = find(x, lattice, R, skin)
+    inverse = np.empty(len(i))
+    for c in range(len(i)):
         inverse[c] = 1.0 / (R[i[c]] + R[j[c]])
-    touching, since = np.zeros(m + rest, np.uint8), np.zeros(m + rest, np.int64)
-    return Pairs(i, j, inverse, touching, since, runs, images[:rest, 0].copy(), images[:rest, 1].copy())
+    nx, ny = np.empty(len(images), np.int64), np.empty(len(images), np.int64)
+    for c in range(len(images)):
+        nx[c], ny[c] = images[c, 0] - int(turns) * images[c, 1], images[c, 1]
+    touching, since = np.zeros(len(i), np.uint8), np.zeros(len(i), np.int64)
+    return Pairs(i, j, inverse, touching, since, runs, nx, ny)
 
 
 @njit(cache=True)

@@ -15,8 +15,9 @@ from petscjam.errors import InputError, SolverError, shown
 from petscjam.md import kernels
 from petscjam.md.kernels import BINS, HEUN, SINGLE, SUMS, Disks, Events, Law
 from petscjam.md.model import BULK, Model
-from petscjam.md.neighbours import CHUNK, find_pairs, mark, open_contacts, order_by_cell, wrap
+from petscjam.md.neighbours import list_pairs, mark, open_contacts, order_in_space, wrap
 from petscjam.md.state import State
+from petscjam.neighbours import CHUNK
 
 SCHEMES = {"heun": HEUN, "single": SINGLE}
 SKIN = 0.03  # ds, the first list
@@ -67,7 +68,8 @@ class Simulation:
         self.skin = SKIN
         self.steps = self.rebuilds = 0
         self._since = 0  # step of the last build
-        self._widest = state.length / 3 - 2 * float(state.radii.max())
+        # A contact is known by its disks: no disk may meet two images of another, nor its own.
+        self._widest = state.length / 2 - float(np.sort(state.radii)[-2:].sum())
         if self._widest < SKINS[0]:
             raise InputError(f"shear: a cell of {state.length:.3g} is too small for disks of these sizes")
         runs = (n - 1) // CHUNK + 1
@@ -82,12 +84,11 @@ class Simulation:
         d = self._disks
         self.skin = min(max(self.skin, SKINS[0]), SKINS[1], self._widest)
         wrap(d.q, self.L, self.strain, self.rate)
-        cells = int(self.L / (2 * d.R.max() + self.skin))
-        order, start = order_by_cell(d.q, self.L, cells)
+        order = order_in_space(d.q, self.L)
         self.tag = self.tag[order]
         q = d.q[order]
         self._disks = d = Disks(q, d.p, d.F, d.R[order], d.m[order], q[:, :2].copy())
-        self._pairs = find_pairs(q, d.R, self.L, self.strain, self.skin, cells, start)
+        self._pairs = list_pairs(d.home, d.R, self.L, self.strain, self.skin)
         self._built, self._since = self.strain, self.steps
         self.rebuilds += 1
         if mark(self._pairs, self.tag, contacts):

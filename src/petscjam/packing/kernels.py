@@ -1,8 +1,7 @@
-"""The hot loops of packing preparation, compiled by numba: neighbours, forces, and two minimisers.
+"""The hot loops of packing preparation, compiled by numba: forces, and two minimisers.
 
-Disks are sorted in space and cut into runs of CHUNK. Pairs inside a run, which need no periodic image,
-come first; the few that join two runs or cross the edge of the cell come last, with their images. Runs
-are shared among threads, each run is added up in order: sums do not depend on the number of threads.
+Disks are sorted in space; pairs come run by run (:func:`petscjam.neighbours.find`). Runs are shared among
+threads, each run is added up in order: sums do not depend on the number of threads.
 
 Axes: i, j disks of pair c.
 """
@@ -12,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-CHUNK = 4096
+from petscjam.neighbours import CHUNK
+
 BATCH = 256
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 
@@ -432,77 +432,3 @@ def conjugate_gradients(z, g, d, trial, g_trial, state, force, energy, stress, g
             zero = step + (step - state[2]) * slope / (state[3] - slope) if slope > state[3] else np.inf
             state[1], state[2], state[3] = min(zero, 4 * step, state[6]), step, slope
     return steps, force, energy, stress
-
-
-@njit(cache=True)
-def neighbours(x, lattice, inverse, bins, radii, skin, i, j, image):
-    """List the pairs with r < ρi + ρj + skin by a linked-cell search; those inside a run come first.
-
-    Parameters
-    ----------
-    x : (N, 2)
-    lattice, inverse : (2, 2)
-        Rows are lattice vectors; ``inverse`` is the inverse matrix.
-    bins : (2,) integers
-        Bins along each of them, at least three; none narrower than the largest reach.
-    radii : (N,)
-    skin : float
-    i, j : (M,) unsigned
-        Filled with the pairs: those inside a run from the front, the rest from the back.
-    image : (M, 2) integers
-        Filled for the rest, in the same places: r = x_j − x_i + image·lattice.
-
-    Returns
-    -------
-    inside, rest : int
-        How many. Where they exceed M together, not all of them are stored.
-    """
-    nx, ny = bins
-    n = len(x)
-    s = np.empty((n, 2))
-    floor = np.empty((n, 2), dtype=np.int64)
-    home = np.empty(n, dtype=np.int64)
-    start = np.zeros(nx * ny + 1, dtype=np.int64)
-    for a in range(n):
-        for axis in range(2):
-            u = x[a, 0] * inverse[0, axis] + x[a, 1] * inverse[1, axis]
-            floor[a, axis] = np.floor(u)
-            s[a, axis] = u - floor[a, axis]
-        home[a] = min(int(s[a, 1] * ny), ny - 1) * nx + min(int(s[a, 0] * nx), nx - 1)
-        start[home[a] + 1] += 1
-    start = np.cumsum(start)
-    filled = start.copy()
-    member = np.empty(n, dtype=np.int64)
-    for a in range(n):
-        member[filled[home[a]]] = a
-        filled[home[a]] += 1
-    inside = rest = 0
-    for a in range(n):
-        row, column = divmod(home[a], nx)
-        for step in range(4, 9):  # this bin and half of those around it
-            cy, cx = row + step // 3 - 1, column + step % 3 - 1
-            ix = (cx >= nx) * 1 - (cx < 0) * 1
-            iy = (cy >= ny) * 1 - (cy < 0) * 1
-            there = (cy - iy * ny) * nx + cx - ix * nx
-            for b in member[start[there] : start[there + 1]]:
-                if step == 4 and b <= a:
-                    continue
-                u = s[b, 0] - s[a, 0] + ix
-                v = s[b, 1] - s[a, 1] + iy
-                dx = u * lattice[0, 0] + v * lattice[1, 0]
-                dy = u * lattice[0, 1] + v * lattice[1, 1]
-                reach = radii[a] + radii[b] + skin
-                if dx * dx + dy * dy >= reach * reach:
-                    continue
-                first = ix + floor[a, 0] - floor[b, 0]
-                second = iy + floor[a, 1] - floor[b, 1]
-                if first == 0 and second == 0 and a // CHUNK == b // CHUNK:
-                    at = inside
-                    inside += 1
-                else:
-                    rest += 1
-                    at = len(i) - rest
-                if inside + rest <= len(i):
-                    i[at], j[at] = a, b
-                    image[at, 0], image[at, 1] = first, second
-    return inside, rest

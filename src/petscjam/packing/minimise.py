@@ -12,9 +12,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from petscjam.box import Array, Box
+from petscjam.box import Array
 from petscjam.errors import SolverError
 from petscjam.packing.packing import Packing
 
@@ -201,11 +200,10 @@ class Enthalpy:
 
     def _build(self, x: Array, F: Array) -> None:
         """List the pairs: those within a run of disks first, run by run, then the rest with their images."""
-        from petscjam.packing.kernels import CHUNK
+        from petscjam.neighbours import find
 
         box = self.packing.box.deformed(F) if len(self.strains) else self.packing.box
-        (i, j), inside, images = _pairs(box, x @ F.T, self.radii, self.skin)
-        runs = np.searchsorted(i[:inside], np.arange(0, len(x) + CHUNK, CHUNK))
+        i, j, runs, images = find(x @ F.T, np.array(box.reduced), self.radii, self.skin)
         in_cell = np.rint(box.reduced @ np.linalg.inv(box.cell))  # exactly the same lattice
         sigma = self.radii[i] + self.radii[j]
         k = self.packing.potential.spring_constant(sigma)
@@ -216,38 +214,8 @@ class Enthalpy:
         self.stiffest = float(overlap.max(initial=1e-3 * self.unit))
 
 
-def _pairs(box: Box, x: Array, radii: Array, skin: float) -> tuple[NDArray, int, NDArray]:
-    """List the pairs with r < ρi + ρj + skin: (i, j), how many lie within a run, the images of the rest.
-
-    Images are in units of the rows of ``box.reduced``.
-    """
-    from petscjam.packing.kernels import CHUNK, neighbours
-
-    reach = 2 * radii.max() + skin
-    lattice = box.reduced
-    inverse = np.linalg.inv(lattice)
-    bins = (1 / np.linalg.norm(inverse, axis=0) / reach).astype(int)
-    if (bins < 3).any():
-        i, j, r = box.pairs_within(x, reach)
-        near = np.hypot(r[:, 0], r[:, 1]) < radii[i] + radii[j] + skin
-        i, j, r = i[near], j[near], r[near]
-        image = np.rint((r - x[j] + x[i]) @ inverse)
-        alone = (i // CHUNK == j // CHUNK) & ~image.any(axis=1)
-        order = np.argsort(~alone, kind="stable")
-        inside = np.count_nonzero(alone)
-        return np.array([i, j], dtype=np.uint32)[:, order], inside, image[order[inside:]]
-    found, size = 4 * len(x), 0
-    while found > size:
-        size = found
-        pairs, image = np.empty((2, size), dtype=np.uint32), np.empty((size, 2), dtype=np.int32)
-        inside, rest = neighbours(x, lattice, inverse, bins, radii, skin, pairs[0], pairs[1], image)
-        found = inside + rest
-    pairs = np.concatenate([pairs[:, :inside], pairs[:, size - rest :]], axis=1)
-    return pairs, inside, image[size - rest :]
-
-
 def _use_threads(threads: int, n: int) -> bool:
-    from petscjam.packing.kernels import CHUNK
+    from petscjam.neighbours import CHUNK
 
     if threads > 1 and n > CHUNK:
         import numba

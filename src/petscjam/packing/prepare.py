@@ -285,9 +285,11 @@ def _free_rattlers(packing: Packing) -> Packing:
     A minimiser leaves rattlers with overlaps of the order of rounding, and it would be rounding that
     decides whether they are in contact. They are pushed off by GAP.
     """
+    from petscjam.neighbours import pairs
+
     rattler = ~ContactNetwork.of(packing).backbone
     x, radii = packing.positions.copy(), packing.radii
-    i, j, r = packing.box.pairs_within(x, 2.01 * radii.max())
+    i, j, r = pairs(packing.box, x, radii, 0.01 * packing.mean_diameter)
     loose = rattler[i] | rattler[j]
     i, j, r = i[loose], j[loose], r[loose]
     images = r - (x[j] - x[i])
