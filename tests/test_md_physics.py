@@ -17,7 +17,7 @@ from test_md_twin import (
 )
 
 from petscjam import reference_md as twin
-from petscjam.errors import SolverError
+from petscjam.errors import InputError, SolverError
 from petscjam.md import kernels
 from petscjam.md.model import INTEGRATORS, MODELS, Model
 from petscjam.md.simulation import Simulation
@@ -103,6 +103,27 @@ def test_a_call_for_many_steps(name, integrator):
     advance(simulation, 12)
     assert simulation.rebuilds == 2
     assert apart(simulation.state, next(islice(slow(state, model, dt, integrator), 12, None))) < 1e-12
+
+
+def with_a_giant(state, share):
+    """The first disk has a radius of ``share`` of the cell."""
+    return replace(state, radii=np.append(share * state.length, state.radii[1:]))
+
+
+@EACH
+def test_steps_of_a_giant_among_small_disks(integrator):
+    model, dt = Model(MODELS["CD_rot"], 2.0), 0.01
+    state = slowed(with_a_giant(disks(6, 40), 0.25))
+    simulation = Simulation(state, model, dt, integrator)
+    for exact in islice(slow(state, model, dt, integrator, anew=True), 20):
+        assert apart(simulation.state, exact) < 1e-12
+        advance(simulation, 1)
+    assert simulation.rebuilds > 1
+
+
+def test_disks_that_may_meet_two_images_of_another_are_refused():
+    with pytest.raises(InputError, match="too small for disks of these sizes"):
+        Simulation(with_a_giant(disks(6, 40), 0.45), Model(MODELS["CD_rot"], 2.0))
 
 
 def slowed(state):

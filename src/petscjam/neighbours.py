@@ -21,7 +21,7 @@ from petscjam.errors import InputError
 from petscjam.parallel.memory import available_memory
 
 CHUNK = 4096
-BYTES = 200  # of memory a pair, at the peak
+BYTES = 150  # of memory a pair, at the peak of ContactNetwork.of
 
 
 def pairs(

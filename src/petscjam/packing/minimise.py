@@ -70,6 +70,8 @@ class Enthalpy:
         evaluations: int = 0,
         report: Callable[[Enthalpy, Array], None] | None = None,
     ) -> None:
+        from petscjam.neighbours import check_memory
+
         self.packing, self.target = packing, pressure
         self.strains = NOTHING if pressure is None else SHAPE if shape else SIZE
         self.diameter = packing.mean_diameter
@@ -87,6 +89,7 @@ class Enthalpy:
         self.start = np.append(x[self.order], np.zeros(len(self.strains)))
         self.largest = 2 * float(packing.radii.max())
         self.skin = 0.3 * self.diameter
+        check_memory(packing.box, packing.radii, self.skin)
         self._threads = _use_threads(threads, len(packing))
         self._true = np.empty(len(x), dtype=complex)
         self._built, self._built_at = np.empty(0), evaluations
