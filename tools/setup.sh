@@ -21,7 +21,7 @@ apt_install() {
     as_root env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "$@"
 }
 
-NEEDS='a Python 3.12 or newer (x86-64 Linux, glibc 2.34 or newer) on the path'
+WHEEL='a Python 3.12 or newer on the path (x86-64 Linux, glibc 2.34 or newer)'
 UV='"uv python install 3.12" brings one without root'
 
 # The wheel is for CPython's stable ABI. Trying is the only test: the path may hold shims of Pythons that are not there.
@@ -67,10 +67,10 @@ pip=(.venv/bin/python -m pip --disable-pip-version-check install -q)
 case $stack in
 wheel)
     if [ "$made" != wheel ]; then
-        find_base || refuse "STACK=wheel needs $NEEDS, and there is none; $UV."
+        find_base || refuse "STACK=wheel needs $WHEEL, and there is none; $UV."
         if ! has_venv "$base"; then # Debian's and Ubuntu's
             package=$("$base" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
-            [[ $base = /usr/bin/* ]] && can_install || refuse "$base has no venv: install $package, or $UV."
+            [[ $base = /usr/bin/* ]] && can_install || refuse "$base has no venv: install $package; or $UV."
             as_root apt-get update -q
             apt_install "$package"
         fi
@@ -84,19 +84,19 @@ wheel)
 debian)
     packages=(python3 python3-venv python3-petsc4py-complex python3-slepc4py-complex
         python3-mpi4py python3-h5py python3-h5py-mpi openmpi-bin libopenblas0-pthread)
-    instead="Instead: $NEEDS ($UV), or another complex PETSc (docs/install.md)."
+    instead="Take $WHEEL; $UV. Or another complex PETSc: docs/install.md."
     command -v apt-get >/dev/null ||
-        refuse "STACK=debian needs Debian 12, Ubuntu 24.04 or newer, and there is no apt-get. $instead"
+        refuse "no apt-get here; Debian's packages are for Debian 12, Ubuntu 24.04 and newer. $instead"
     candidate() { LC_ALL=C apt-cache policy "$1" | sed -n 's/^ *Candidate: //p'; }
     version=$(candidate python3)
     [[ $version != [0-9]* ]] || dpkg --compare-versions "$version" ge 3.11 ||
-        refuse "STACK=debian needs Debian 12, Ubuntu 24.04 or newer: Python is ${version%%-*} here, not 3.11. $instead"
+        refuse "Python is ${version%%-*} here; Debian's packages are for Debian 12, Ubuntu 24.04 and newer. $instead"
     missing=()
     for package in "${packages[@]}"; do
         [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
     done
     if [ ${#missing[@]} -gt 0 ]; then
-        can_install || refuse "apt-get has to install ${missing[*]}, and there is neither root nor sudo. $instead"
+        can_install || refuse "neither root nor sudo to install ${missing[*]}. $instead"
         as_root apt-get update -q
         for package in "${missing[@]}"; do
             [[ $(candidate "$package") = [0-9]* ]] || refuse "apt-get knows no package $package here. $instead"
