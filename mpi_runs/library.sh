@@ -1,14 +1,13 @@
 #!/usr/bin/env bash
 # A library of packings, its table and its figure. Edit mpi_runs/library.toml, then: bash mpi_runs/library.sh
-# Started again, it goes on where it stopped. LAUNCH, PETSCJAM and FOLDER may be set from outside; options
+# Started again, it goes on where it stopped. LAUNCH, PYTHON and FOLDER may be set from outside; options
 # of petscjam prepare may be given, too: bash mpi_runs/library.sh --seeds 1:20
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tools/mpi-env.sh
 launch=${LAUNCH:-mpirun -n 2}
-petscjam=${PETSCJAM:-.venv/bin/petscjam}
 folder=${FOLDER:-runs/library}
 
-$launch $petscjam prepare --config mpi_runs/library.toml "$@" --resume -o "$folder"
-$petscjam info "$folder"
-$petscjam plot "$folder" --overwrite
+$launch petscjam prepare --config mpi_runs/library.toml "$@" --resume -o "$folder"
+petscjam info "$folder"
+petscjam plot "$folder" --overwrite

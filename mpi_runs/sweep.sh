@@ -1,16 +1,15 @@
 #!/usr/bin/env bash
 # A sweep of G*(ω) over an ensemble. Edit mpi_runs/sweep.conf, then: bash mpi_runs/sweep.sh
-# Started again, it goes on where it stopped. LAUNCH and PETSCJAM may be set from outside (sweep.slurm does).
+# Started again, it goes on where it stopped. LAUNCH and PYTHON may be set from outside (sweep.slurm does).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . mpi_runs/sweep.conf
 . tools/mpi-env.sh
 launch=${LAUNCH:-mpirun -n 2}
-petscjam=${PETSCJAM:-.venv/bin/petscjam}
 
 mkdir -p "$folder"
 for pressure in $pressures; do
     packings=$folder/packings-N$particles-p$pressure
-    $launch $petscjam prepare --particles $particles --pressure $pressure --seeds $seeds --resume -o $packings
-    $launch $petscjam moduli $packings --omega $omega $law --resume -o $folder/modulus-N$particles-p$pressure.h5
+    $launch petscjam prepare --particles $particles --pressure $pressure --seeds $seeds --resume -o $packings
+    $launch petscjam moduli $packings --omega $omega $law --resume -o $folder/modulus-N$particles-p$pressure.h5
 done

@@ -5,7 +5,7 @@ cd "$(dirname "$0")/.."
 . tools/mpi-env.sh
 out=${1:-runs/vot}
 mkdir -p "$out"
-shear() { mpirun -n 2 .venv/bin/petscjam "$@" --resume; }
+shear() { mpirun -n 2 petscjam "$@" --resume; }
 
 # CD at φ = 0.82: Newtonian below Qc, Bagnoldian above (VOT fig. 2)
 shear shear --model CD --particles 1024 --phi 0.82 --Q 1,5,20,70,100,150 --rate 1e-5 --strain 2 --dt 0.1 -o "$out/CD"
@@ -23,6 +23,6 @@ shear ramp --model CD_rot --particles 4096 --phi 0.802 --rate 3e-6 --to 1e-4 --k
 for name in CD CD_rot bands ramp; do
     file=$out/$name
     [ -d "$file" ] || file=$file.h5
-    .venv/bin/petscjam plot "$file" --overwrite -o "$out/$name.png"
+    petscjam plot "$file" --overwrite -o "$out/$name.png"
 done
-.venv/bin/petscjam plot "$out/bands.h5" --maps --overwrite -o "$out/bands-maps.png"
+petscjam plot "$out/bands.h5" --maps --overwrite -o "$out/bands-maps.png"

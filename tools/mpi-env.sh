@@ -1,7 +1,6 @@
-# Sourced before mpirun, which is that of the MPI of $PYTHON (.venv/bin/python).
-# The wheel of MPICH, and conda, put it beside Python; that of Debian is on the path.
-beside=$(dirname "$(command -v "${PYTHON:-.venv/bin/python}")")
-[ ! -x "$beside/mpirun" ] || PATH=$(cd "$beside" && pwd):$PATH
+# Sourced before mpirun and petscjam: both are those of $PYTHON, or of .venv/bin/python.
+# The wheel of MPICH, and conda, have mpirun beside Python; with Debian's packages it is on the path.
+beside=$(command -v "${PYTHON:-.venv/bin/python}") && PATH=$(cd "$(dirname "$beside")" && pwd):$PATH
 unset beside
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1} # one thread a rank
 # Open MPI 4 reads OMPI_MCA_*, Open MPI 5 PRTE_MCA_*; others ignore both.
