@@ -48,7 +48,9 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
 
     sizes, n = state.radii, len(state)
     if not radius > sizes.max():
-        raise InputError(f"maps: the radius must exceed that of a disk, {sizes.max():g}, not {shown(radius)}")
+        raise InputError(
+            f"maps: the radius must be above that of a disk, {sizes.max():g}, not {shown(radius)}"
+        )
     first, second, r = pairs(state.box, state.positions, sizes, radius)  # more than overlap the circles
     i, j, r = np.append(first, second), np.append(second, first), np.concatenate([r, -r])
     distance = np.hypot(*r.T)
