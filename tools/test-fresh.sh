@@ -38,7 +38,7 @@ bare() {
 as() {
     echo "== $(basename "$root"), $1: $2"
     local inside='mount --rbind /dev "$0/dev" && mount -t sysfs none "$0/sys" && exec chroot --userspec="$1" "$0" \
-        env -i HOME=/home/newcomer PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 bash -c "cd ~/petscjam && $2"'
+        env -i HOME=/home/newcomer LIMIT="${LIMIT:-1800}" PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 bash -c "cd ~/petscjam && $2"'
     time unshare --mount --pid --fork --kill-child --mount-proc="$root/proc" bash -c "$inside" "$root" "$1:$1" "$2"
 }
 
