@@ -11,13 +11,17 @@ from scipy.sparse import csc_array
 
 import petscjam as pj
 from petscjam import reference
-from petscjam.packing.certify import hessian, pivots_below
+from petscjam.kinematics import SIMPLE_SHEAR
+from petscjam.packing import certify as certify_module
+from petscjam.packing.certify import below_all, certify, hessian, pivots_below
 from petscjam.packing.certify import lowest_modes as lowest_of
-from petscjam.parallel.eigen import Pairs, largest_pairs, lowest_pairs
+from petscjam.parallel.eigen import Pairs, lowest_pairs, pencil_pairs
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.response import modes as modes_module
+from petscjam.response import relaxations as relaxations_module
 from petscjam.response.modes import lowest_modes
+from petscjam.response.problem import LinearProblem
 from petscjam.response.relaxations import relaxation_modes
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -54,9 +58,52 @@ def random_disks(n=48, phi=2.0, seed=3):
     return pj.Packing(rng.uniform(0, side, (n, 2)), radii, pj.Box.square(side))
 
 
+def lattice(a, b, columns, rows, basis=((0, 0),)):
+    """Disks of diameter 1 on a lattice, neighbours at 0.99; ``a``, ``b`` and ``basis`` in units of that."""
+    a, b, basis = (0.99 * np.asarray(x, float) for x in (a, b, basis))
+    m, n = np.mgrid[0:columns, 0:rows].reshape(2, -1, 1, 1)
+    positions = (m * a + n * b + basis).reshape(-1, 2)
+    return pj.Packing(positions, np.full(len(positions), 0.5), pj.Box(np.array([columns * a, rows * b])))
+
+
 def square_lattice(columns, rows):
-    grid = 0.99 * np.mgrid[0:columns, 0:rows].reshape(2, -1).T
-    return pj.Packing(grid, np.full(columns * rows, 0.5), pj.Box(0.99 * np.diag([columns, rows])))
+    return lattice((1, 0), (0, 1), columns, rows)
+
+
+@cache
+def triangular(columns=8, rows=4):
+    """A triangular crystal in a rectangular cell, two disks a row of it: degenerate by reflections."""
+    return lattice((1, 0), (0, 3**0.5), columns, rows, [(0, 0), (0.5, 0.75**0.5)])
+
+
+@cache
+def rhombic(n=8):
+    """A triangular crystal in a cell of its own symmetry: sets of 6 and 12 equal modes."""
+    return lattice((1, 0), (0.5, 0.75**0.5), n, n)
+
+
+def honeycomb(n):
+    """Three contacts a disk: without pre-stress half of the modes are at zero."""
+    return lattice((3**0.5, 0), (0.75**0.5, 1.5), n, n, [(0, 0), (0, 1)])
+
+
+@cache
+def copies(n=3):
+    """n × n copies of a packing: a wave and the one that runs backwards are degenerate."""
+    one = jammed(3e-2, 12, 1)
+    shifts = np.mgrid[0:n, 0:n].reshape(2, -1).T @ one.box.cell
+    positions = (one.positions + shifts[:, None]).reshape(-1, 2)
+    return pj.Packing(positions, np.tile(one.radii, n * n), pj.Box(n * one.box.cell))
+
+
+DEGENERATE = [triangular, rhombic, copies]
+any_degenerate = pytest.mark.parametrize("make", DEGENERATE)
+
+
+def in_units(packing, length, potential):
+    return pj.Packing(
+        length * packing.positions, length * packing.radii, pj.Box(length * packing.box.cell), potential
+    )
 
 
 @cache
@@ -137,33 +184,113 @@ def test_residuals_are_those_of_the_dense_matrix():
     assert (true < 1e-8 * m.eigenvalues).all()
 
 
-def test_degenerate_modes_at_the_edge_cannot_be_counted():
-    """Of 72 modes of a lattice without pre-stress, many are at zero: no gap lies next to the first."""
-    m = lowest_modes(square_lattice(6, 6), 1, prestress=False)
-    assert m.complete is None
-    assert any("could not be counted" in note for note in m.notes)
-
-
 def test_floppy_modes_take_no_part_in_the_response():
     m = all_modes(square_lattice(4, 4), False, "compression")
     assert any("modes at zero" in note for note in m.notes)
     assert np.isfinite(m.amplitudes).all() and np.isfinite(m.softening).all()
 
 
+# ---- degenerate modes
+
+
+@pytest.fixture
+def slepc_alone(monkeypatch):
+    monkeypatch.setattr(modes_module, "LARGEST_DENSE", 0)
+
+
+def same_vectors(some, all_of_them):
+    return some.vectors == pytest.approx(all_of_them.vectors[: len(some.vectors)], abs=1e-7)
+
+
+@any_degenerate
+def test_lists_do_not_depend_on_the_count(make, slepc_alone):
+    """Each is the start of the dense matrix's, every copy of an eigenvalue among them."""
+    values, _ = without_translations(dense(make())[0])
+    longest = lowest_modes(make(), 41)
+    assert np.isclose(values[:40], values[1:41], rtol=1e-9).sum() > 12
+    for count in range(1, 41, 3 if make is copies else 1):
+        m = lowest_modes(make(), count)
+        assert m.eigenvalues == pytest.approx(values[:count], rel=1e-10), count
+        assert m.complete is True and m.notes == ()
+        assert (m.residuals < 1e-8 * m.eigenvalues).all()
+        v = m.vectors.reshape(count, -1)
+        assert v @ v.T == pytest.approx(np.eye(count), abs=1e-12)
+        assert same_vectors(m, longest), count
+
+
+@any_degenerate
+def test_both_eigensolvers_choose_the_same_vectors(make, monkeypatch):
+    lapack = lowest_modes(make(), 30)
+    monkeypatch.setattr(modes_module, "LARGEST_DENSE", 0)
+    slepc = lowest_modes(make(), 30)
+    assert searched(slepc) and not searched(lapack)
+    assert same_vectors(slepc, lapack)
+    assert slepc.participation == pytest.approx(lapack.participation, rel=1e-7)
+
+
+@pytest.mark.parametrize("count", [1, 7, 20, 40])
+def test_degenerate_modes_of_no_minimum_are_found_from_below(count, slepc_alone):
+    packing = square_lattice(12, 12)
+    values, _ = without_translations(hessian(pj.ContactNetwork.of(packing)).toarray())
+    m = lowest_modes(packing, count)
+    assert values[0] < -0.01
+    assert m.eigenvalues == pytest.approx(values[:count], abs=1e-10) and m.complete
+
+
+def test_more_equal_modes_than_are_searched_for(slepc_alone):
+    """Which of the modes at zero come is arbitrary; that they are the lowest is proved, and they are said."""
+    packing = honeycomb(12)
+    K = hessian(pj.ContactNetwork.of(packing), False).toarray()
+    zero = int((np.abs(np.linalg.eigvalsh(K)) < 1e-10).sum()) - 2
+    m = lowest_modes(packing, 10, prestress=False)
+    assert zero > 100 and m.eigenvalues == pytest.approx(np.zeros(10), abs=1e-12)
+    assert m.complete is True
+    assert any(f"the last 10 are of {zero} equal ones" in note for note in m.notes)
+
+
+@pytest.mark.parallel(nprocs=[1, 2, 3])
+@any_degenerate
+@pytest.mark.parametrize("count", [5, 20])
+def test_degenerate_modes_do_not_depend_on_the_number_of_ranks(comm, make, count, slepc_alone):
+    alone = lowest_modes(make(), count, comm=MPI.COMM_SELF)
+    m = lowest_modes(make(), count, comm=comm)
+    assert m.eigenvalues == pytest.approx(alone.eigenvalues, rel=1e-10) and m.complete
+    assert same_vectors(m, alone)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e9])
+@pytest.mark.parametrize("potential", ["harmonic", "harmonic-relative"])
+@pytest.mark.parametrize("make", [jammed, random_disks, *DEGENERATE])
+def test_modes_do_not_depend_on_the_unit_of_length(make, potential, length, slepc_alone):
+    """K scales with the stiffness of a contact, 1 or 1/σ²; vectors and proofs stay what they are."""
+    unit = 1.0 if potential == "harmonic" else length**-2
+    one = lowest_modes(in_units(make(), 1.0, potential), 9)
+    m = lowest_modes(in_units(make(), length, potential), 9)
+    assert m.eigenvalues == pytest.approx(unit * one.eigenvalues, rel=1e-11, abs=0)
+    assert same_vectors(m, one)
+    assert (m.complete, m.notes) == (True, one.notes)
+
+
+@pytest.mark.parametrize("make", [*DEGENERATE, random_disks])
+def test_a_certificate_lists_every_copy(make):
+    values, _ = without_translations(dense(make())[0])
+    assert certify(make()).certificate.eigenvalues == pytest.approx(values[:4], rel=1e-10)
+
+
 # ---- the count
 
 
 class Forgetful:
-    """The eigensolver, less one mode in each of the first searches."""
+    """The eigensolver, less the fourth mode in each of the first searches."""
 
     def __init__(self, lapses):
         self.lapses = lapses
 
-    def __call__(self, *arguments, **options):
-        found = lowest_pairs(*arguments, **options)
+    def __call__(self, K, count, *arguments, **options):
         if self.lapses == 0:
-            return found
+            return lowest_pairs(K, count, *arguments, **options)
         self.lapses -= 1
+        found = lowest_pairs(K, count + 1, *arguments, **options)
         return Pairs(*(np.delete(part, 3, axis=-1) for part in found))
 
 
@@ -179,6 +306,33 @@ def test_a_mode_that_is_missed_again_and_again_is_an_error(monkeypatch):
     monkeypatch.setattr(modes_module, "lowest_pairs", Forgetful(-1))
     with pytest.raises(pj.SolverError, match="missed 1 of the lowest modes"):
         lowest_modes(jammed(), 10)
+
+
+def failing(*_):
+    raise pj.SolverError("no memory")
+
+
+def test_modes_that_cannot_be_counted_are_not_called_complete(monkeypatch):
+    monkeypatch.setattr(modes_module, "pivots_below", failing)
+    m = lowest_modes(jammed(), 10)
+    assert m.complete is None
+    assert "the modes could not be counted: no memory" in m.notes
+
+
+def test_relaxations_that_cannot_be_counted_are_not_called_complete(monkeypatch):
+    monkeypatch.setattr(relaxations_module, "negative_pivots", failing)
+    r = relaxation_modes(jammed(), 10)
+    assert r.complete is None
+    assert "the modes could not be counted: no memory" in r.notes
+
+
+@pytest.mark.parametrize("make", [random_disks, lambda: square_lattice(6, 6)], ids=["random", "square"])
+def test_a_shift_below_all_modes_is_found_though_counts_fail(make, monkeypatch):
+    K = hessian(pj.ContactNetwork.of(make()))
+    lowest = np.linalg.eigvalsh(K.toarray())[0]
+    assert 6 * lowest < below_all(K) < lowest
+    monkeypatch.setattr(certify_module, "pivots_below", failing)
+    assert below_all(K) < lowest
 
 
 def test_a_count_that_rounding_may_change_is_none():
@@ -339,7 +493,7 @@ def one_iteration():
 
 
 def test_other_settings_behind_the_prefix(one_iteration):
-    with pytest.raises(pj.SolverError, match=r"SLEPc found \d+ of 13 modes"):
+    with pytest.raises(pj.SolverError, match=r"SLEPc found none of \d+ modes"):
         lowest_modes(jammed(), 10)
 
 
@@ -382,20 +536,21 @@ def test_a_cluster_that_is_cut_gives_real_orthonormal_vectors():
     assert found.vectors.T @ found.vectors == pytest.approx(np.eye(3), abs=1e-13)
 
 
-def test_largest_pairs_are_those_of_a_dense_pencil():
+def test_lowest_pairs_are_those_of_a_dense_pencil():
     rng = np.random.default_rng(0)
     X = rng.standard_normal((30, 20))
-    M, metric = X @ X.T, np.diag(rng.uniform(1, 2, 30)) + 0.01
-    B, K = petsc_matrix(M), petsc_matrix(metric)
-    with destroying(B, K):
-        found = largest_pairs(B, K, 8, prefix="petscjam_test_")
-    assert found.values == pytest.approx(eigh(M, metric, eigvals_only=True)[::-1][:8], rel=1e-10)
+    M, metric = -X @ X.T, np.diag(rng.uniform(1, 2, 30)) + 0.01
+    A, K = petsc_matrix(M), petsc_matrix(metric)
+    with destroying(A, K):
+        found = pencil_pairs(A, K, 8, prefix="petscjam_test_")
+    assert found.values == pytest.approx(eigh(M, metric, eigvals_only=True)[:8], rel=1e-10)
     assert found.vectors.T @ metric @ found.vectors == pytest.approx(np.eye(8), abs=1e-12)
 
 
 def test_certificates_use_the_same_eigensolver():
     K = hessian(pj.ContactNetwork.of(sixteen()))
-    values, vectors, _ = lowest_of(K, 5)
+    values, vectors, _, complete = lowest_of(K, 5)
+    assert complete is True
     assert values == pytest.approx(lowest_modes(sixteen(), 5).eigenvalues, rel=1e-10)
     assert (K @ vectors.T) == pytest.approx(vectors.T * values, abs=1e-9)
 
@@ -430,9 +585,67 @@ def test_relaxations_are_those_of_the_dense_pencil(make, law):
     else:
         times, v = (part[..., ::-1] for part in eigh(B, K))
     r = relaxation_modes(make(), 12, damping=law)
-    assert r.times == pytest.approx(times[:12], rel=1e-8)
+    assert r.times == pytest.approx(times[:12], rel=1e-8) and r.complete
     weights = (v.T @ k - v.T @ b / times)[:12] ** 2 / make().box.area
     assert r.weights == pytest.approx(weights, rel=1e-5, abs=1e-9 * weights.max())
+
+
+@any_law
+@pytest.mark.parametrize("make", [rhombic, copies])
+def test_lists_of_relaxations_do_not_depend_on_the_count(make, law):
+    K, B, _, _ = eliminated(make(), law)
+    times = 1 / without_translations(K)[0] if law.body else eigh(B, K, eigvals_only=True)[::-1]
+    longest = relaxation_modes(make(), 41, damping=law)
+    for count in (1, 2, 8, 13, 27, 40):
+        r = relaxation_modes(make(), count, damping=law)
+        assert r.times == pytest.approx(times[:count], rel=1e-10), count
+        assert r.complete is True and r.notes == ()
+        assert same_vectors(r, longest), count
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if not law.body], ids=str)
+@pytest.mark.parametrize("make", [sixteen, copies])
+def test_slower_relaxations_are_counted(make, law):
+    K, B, _, _ = eliminated(make(), law)
+    times = eigh(B, K, eigvals_only=True)
+    problem = LinearProblem(make(), law, [SIMPLE_SHEAR], True, MPI.COMM_SELF)
+    for k in range(1, len(times), 9):
+        tau, gap = (times[k - 1] + times[k]) / 2, times[k] - times[k - 1]
+        if gap > 1e-6 * tau:
+            assert relaxations_module._slower(problem, tau, 0.4 * gap) == len(times) - k
+    assert relaxations_module._slower(problem, -1.0, 0.1) == len(times)
+    with pytest.raises(pj.SolverError, match="rounds by more"):
+        relaxations_module._slower(problem, times[-1] / 2, 1e-17 * times[-1])
+
+
+def test_equal_relaxations_without_end():
+    """Without pre-stress and tangential damping B = K: all times are 1."""
+    r = relaxation_modes(rhombic(10), 10, prestress=False, damping=pj.ContactDamping(beta=0.0))
+    assert r.times == pytest.approx(np.ones(10), rel=1e-12)
+    assert r.complete is True
+    assert any("the last 10 are of 198 equal ones" in note for note in r.notes)
+
+
+@pytest.mark.parallel(nprocs=[2, 3])
+@any_law
+def test_degenerate_relaxations_do_not_depend_on_the_number_of_ranks(comm, law):
+    alone = relaxation_modes(copies(), 9, damping=law, comm=MPI.COMM_SELF)
+    r = relaxation_modes(copies(), 9, damping=law, comm=comm)
+    assert r.times == pytest.approx(alone.times, rel=1e-10) and r.complete
+    assert same_vectors(r, alone)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e9])
+@pytest.mark.parametrize("potential", ["harmonic", "harmonic-relative"])
+@any_law
+def test_relaxations_do_not_depend_on_the_unit_of_length(law, potential, length):
+    stiffness = 1.0 if potential == "harmonic" else length**-2
+    one = relaxation_modes(in_units(jammed(), 1.0, potential), 9, damping=law)
+    r = relaxation_modes(in_units(jammed(), length, potential), 9, damping=law)
+    assert r.times * stiffness == pytest.approx(one.times, rel=1e-11)
+    assert r.weights / stiffness == pytest.approx(one.weights, rel=1e-8)
+    assert r.vectors * stiffness**0.5 == pytest.approx(one.vectors, abs=1e-8 * abs(one.vectors).max())
+    assert r.complete is True
 
 
 @any_law

@@ -222,13 +222,16 @@ def _viscosity(r: Viscosity) -> dict[str, float | str]:
     }
 
 
+PROVED = {True: "proved", None: "not known"}
+
+
 def _modes(r: Modes) -> dict[str, float | str]:
     return {
         "modes": f"{len(r.eigenvalues)}", "lowest": r.eigenvalues[0], "highest": r.eigenvalues[-1],
         "median floppiness": float(np.median(r.floppiness)),
         "median participation": float(np.median(r.participation)),
         "G_affine": r.G_affine, "softening": float(r.softening.sum()),
-        "residual": f"{r.residuals.max():.0e}", "complete": {True: "proved", None: "not known"}[r.complete],
+        "residual": f"{r.residuals.max():.0e}", "complete": PROVED[r.complete],
     }  # fmt: skip
 
 
@@ -241,6 +244,7 @@ def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
     return {
         "law": str(r.damping), "modes": f"{len(r.times)}", "slowest": r.times[0], "fastest": r.times[-1],
         "weights": float(r.weights.sum()), "residual": f"{r.residuals.max():.0e}",
+        "complete": PROVED[r.complete],
     }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Judge a packing: residual forces, stress, and whether it is a minimum of the energy.
 
 Force balance is half of a proof. The other half is a count of the modes of K with pre-stress: SLEPc gives
-the lowest eigenvalues, and the pivots of one LDLᵀ of K − λ₁/2 say that none was missed.
+the lowest eigenvalues, and the pivots of one LDLᵀ of K − σ, σ above these, say that none was missed.
 
 Axes: i disk of the backbone, x Cartesian, s strain.
 """
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from petscjam.box import Array
+from petscjam.box import Array, Integers
 from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import SIMPLE_SHEAR, StrainMode, elastic_form
+from petscjam.kinematics import SIMPLE_SHEAR, Form, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Certificate, Packing
 
@@ -47,8 +47,14 @@ def _elasticity(
     everybody = np.ones(len(network.radii), dtype=bool)
     K = elastic_form(network, everybody, strains, prestress=prestress)
     displacements = np.flatnonzero(np.outer(network.backbone, [True, True, False]))
-    A, a, w = K.rows[:, displacements], K.strain_rows, K.weights[:, None]
-    return (A.T @ A.multiply(w)).tocsc(), A.T @ (w * a), a.T @ (w * a) + K.extra
+    a, w = K.strain_rows, K.weights[:, None]
+    return matrix(K, displacements), K.rows[:, displacements].T @ (w * a), a.T @ (w * a) + K.extra
+
+
+def matrix(form: Form, unknowns: Integers) -> csc_array:
+    """Return the matrix of a form without drag on ``unknowns``, places among all degrees of freedom."""
+    A = form.rows[:, unknowns]
+    return (A.T @ A.multiply(form.weights[:, None])).tocsc()
 
 
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:
@@ -99,17 +105,14 @@ def _count_below(K: csc_array, sigma: float) -> int:
 
 
 def below_all(K: csc_array) -> float:
-    """Return a number below all eigenvalues of ``K``.
-
-    Raises
-    ------
-    SolverError
-        If they cannot be counted.
-    """
-    shift = -_zero(K)
-    while _count_below(K, shift) > 0:
+    """Return a number below all eigenvalues of ``K``, by counts, or by Gershgorin's circles if those fail."""
+    shift, lowest = -_zero(K), -1.1 * float(abs(K).sum(0).max())
+    while shift > lowest:
+        with suppress(SolverError):
+            if _count_below(K, shift) == 0:
+                return 1.2 * shift  # the count may be one below that
         shift *= 4
-    return 1.2 * shift  # the count may be one below that
+    return lowest
 
 
 def pivots_below(K: csc_array, sigma: float, room: float) -> int:
@@ -122,32 +125,42 @@ def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     SolverError
         If the factorisation fails, or rounds by more than ``room``.
     """
-    from scipy.sparse import eye_array
+    from scipy.sparse import dia_array
+
+    shift = dia_array((np.full((1, K.shape[0]), sigma), [0]), shape=K.shape)
+    below, rounding = negative_pivots(K - shift)
+    if rounding > room:
+        raise SolverError(
+            f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}"
+        )
+    return below
+
+
+def negative_pivots(A: csc_array) -> tuple[int, float]:
+    """Return the number of negative pivots of LDLᵀ of ``A``, and a bound on the norm of what it rounds.
+
+    Raises
+    ------
+    SolverError
+        If the factorisation fails.
+    """
     from scipy.sparse.linalg import splu
 
-    if K.shape[0] == 0:  # one disk, and its images
-        return 0
+    if A.shape[0] == 0:  # one disk, and its images
+        return 0, 0.0
     try:
         lu = splu(
-            (K - sigma * eye_array(K.shape[0])).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
+            A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
     except (RuntimeError, MemoryError) as error:
         raise SolverError(f"the factorisation of K failed: {error}") from error
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("the factorisation of K exchanged rows; its pivots do not count modes")
     L, U = lu.L, lu.U
-    below = int((U.diagonal() < 0).sum())
+    negative = int((U.diagonal() < 0).sum())
     for factor in (L, U):
         np.abs(factor.data, out=factor.data)
-    rounding = EPS * (L @ (U @ np.ones(K.shape[0]))).max()
-    if rounding > room:
-        raise SolverError(
-            f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}"
-        )
-    return below
+    return negative, EPS * float((L @ (U @ np.ones(A.shape[0]))).max())
 
 
 def rounding_force(network: ContactNetwork) -> float:
@@ -173,10 +186,11 @@ class Instability:
 
 def lowest_modes(
     K: csc_array, count: int = EIGENVALUES, *, shift: float | None = None
-) -> tuple[Array, Array, Array]:
-    """Return the eigenvalues of K (2n, 2n) nearest ``shift``, translations left out, vectors and residuals.
+) -> tuple[Array, Array, Array, bool | None]:
+    """Return the lowest eigenvalues of K (2n, 2n), translations left out, vectors, residuals, and a proof.
 
-    The shift is a little below zero, unless given; below all eigenvalues, it makes the lowest come first.
+    The search is for those nearest ``shift``, a little below zero unless given. If any is missing, it goes on
+    from below all eigenvalues.
 
     Returns
     -------
@@ -186,6 +200,8 @@ def lowest_modes(
         Real, normalised.
     residuals : (m,)
         ‖Kv − λv‖. K has an eigenvalue within this distance of λ.
+    complete : bool or None
+        True: it is proved that these are the lowest. None: the eigenvalues could not be counted.
 
     Raises
     ------
@@ -194,22 +210,33 @@ def lowest_modes(
     """
     from mpi4py import MPI
 
-    from petscjam.parallel.eigen import lowest_pairs
+    from petscjam.parallel.eigen import Pairs, lowest_pairs, search_all
     from petscjam.parallel.matrix import symmetric_matrix
     from petscjam.parallel.petsc import destroying
 
     size = K.shape[0]
     count = min(count, size - 2)
     if count < 1:
-        return np.empty(0), np.empty((0, size)), np.empty(0)
+        return np.empty(0), np.empty((0, size)), np.empty(0), True
     rows = K.tocsr()
     rows.sort_indices()
-    shift = -1e-6 * float(np.median(rows.diagonal())) if shift is None else shift
+    start = -1e-6 * float(np.median(rows.diagonal())) if shift is None else shift
     translations = np.tile(np.eye(2), size // 2) * (size / 2) ** -0.5
     matrix = symmetric_matrix(rows.indptr, rows.indices, rows.data, size, MPI.COMM_SELF)
+
+    def search(wanted: int, known: Array | None) -> Pairs:
+        below = start if known is None else min(start, below_all(K))
+        return lowest_pairs(matrix, wanted, below, leave_out=translations, known=known)
+
+    def count_below(sigma: float, room: float) -> int:
+        return pivots_below(K, sigma, room)
+
     with destroying(matrix):
-        values, vectors, residuals = lowest_pairs(matrix, count, shift, leave_out=translations)
-    return values, vectors.T, residuals
+        found = search_all(
+            search, count_below, count, size - 2, least=lambda _: _zero(K), left_out=(0.0, 0.0)
+        )
+    values, vectors, residuals = found.pairs
+    return values[:count], vectors[:, :count].T, residuals[:count], found.complete
 
 
 def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
@@ -332,16 +359,15 @@ class _Modes:
 
 
 def _modes(network: ContactNetwork, K: csc_array) -> _Modes:
-    """Find the lowest modes and count; one factorisation does where the lowest is well above zero."""
+    """Find the lowest modes and count; that they are the lowest does where they are well above zero."""
     try:
-        values, vectors, residuals = lowest_modes(K)
-        if len(values) == 0:
-            return _Modes(values, vectors, residuals, 0, 0)
-        if values[0] > max(10 * residuals[0], 2 * _zero(K)) and _count_below(K, values[0] / 2) == 2:
-            return _Modes(values, vectors, residuals, 0, 0)  # below λ₁/2 lie the translations alone
-        negative, zero = modes(network)
-        if negative:
-            values, vectors, residuals = lowest_modes(K, shift=below_all(K))
+        values, vectors, residuals, complete = lowest_modes(K)
+        negative = zero = 0
+        positive = len(values) == 0 or values[0] > max(10 * residuals[0], 2 * _zero(K))
+        if not positive or (complete is None and _count_below(K, values[0] / 2) > 2):
+            negative, zero = modes(network)
+        if negative and complete is None:
+            values, vectors, residuals, _ = lowest_modes(K, shift=below_all(K))
     except SolverError:
         return _Modes(np.empty(0), np.empty((0, K.shape[0])), np.empty(0), None, None)
     return _Modes(values, vectors, residuals, negative, zero)

@@ -1,5 +1,8 @@
 """Eigenpairs of distributed real symmetric matrices: SLEPc's Krylov–Schur over one factorisation.
 
+A Krylov space holds one vector of each set of equal eigenvalues, and others by rounding alone. So the search
+goes on, what was found left out, until a count of all eigenvalues says that none is missing.
+
 PETSc is complex, so eigenvectors come with arbitrary phases, and mixed in clusters. Their real and imaginary
 parts span the same space, and Rayleigh–Ritz in it gives real pairs.
 
@@ -8,7 +11,8 @@ Axes: n local rows, m eigenpair.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -24,6 +28,12 @@ from petscjam.parallel.petsc import destroying, petsc, slepc, stage
 TOLERANCE = 1e-10
 RESTARTS = 10_000
 NEW = 1e-6  # squared length of a part of a vector outside the others, below which it is rounding
+EQUAL = 1e-9  # relative difference up to which eigenvalues are equal
+APART = 1e-6  # relative distance from the last eigenvalue at which those below are counted, at least
+WIDER = (1, 1e2, 1e4)  # times that, until the count rounds by less
+SPARE = 1  # pairs beyond those asked for, to find a gap for the count
+COPIES = 64  # pairs equal to the last that are searched for, or as many as are asked for
+TRIES = 3  # searches in a row that find nothing of what is missing
 
 
 class Pairs(NamedTuple):
@@ -34,8 +44,151 @@ class Pairs(NamedTuple):
     residuals: Array
 
 
+class Search(NamedTuple):
+    """At least the pairs asked for, whether it is proved that none is missing, why not, and what it took."""
+
+    pairs: Pairs
+    complete: bool | None
+    notes: list[str]
+    performance: dict[str, Any]
+
+
+def search_all(
+    search: Callable[[int, Array | None], Pairs],
+    count_below: Callable[[float, float], int],
+    count: int,
+    most: int,
+    *,
+    least: Callable[[Array], float],
+    left_out: Sequence[float] = (),
+) -> Search:
+    """Return the lowest ``count`` pairs and those equal to the last, and prove that none is missing.
+
+    At least as many eigenvalues as Ritz values lie below any σ (Courant and Fischer). Where they are no more,
+    none is missing; σ is above the last pair wanted. If more than ``COPIES``, and than ``count``, that equal
+    the last are missing, σ is just below these instead, and which of them are found is arbitrary.
+
+    Parameters
+    ----------
+    search : callable
+        Of how many to search for and the vectors (n, m) found before, or None: all pairs found, ascending.
+    count_below : callable
+        Of σ and how far rounding may move it: how many eigenvalues lie below. SolverError if it moves more.
+    count, most : int
+        How many are wanted, and how many there are.
+    least : callable
+        Of the eigenvalues found: a difference between them that may be rounding.
+    left_out : sequence of float
+        Eigenvalues that are counted and not searched for.
+
+    Raises
+    ------
+    SolverError
+        If the searches do not find what is missing.
+    """
+    found, wanted, sigma, before, vain = None, min(count + SPARE, most), np.inf, 0, 0
+    complete: bool | None = True
+    notes: list[str] = []
+    seconds = []
+    while True:
+        times = [time.perf_counter()]
+        found = search(wanted, None if found is None else found.vectors)
+        times.append(time.perf_counter())
+        there = len(found.values)
+        vain = 0 if (found.values < sigma).sum() > before else vain + 1
+        missing = max(min(count + SPARE, most) - there, 0)
+        if not missing and there < most:
+            try:
+                missing, sigma, notes = _missing(
+                    found.values, count, count_below, least(found.values), left_out
+                )
+            except SolverError as error:
+                complete, notes = None, [f"the modes could not be counted: {error}"]
+        seconds.append(np.diff([*times, time.perf_counter()]))
+        if not missing:
+            break
+        if vain == TRIES:
+            raise SolverError(f"the eigensolver missed {missing} of the lowest modes, {TRIES} times")
+        before = (found.values < sigma).sum()
+        wanted = min(missing, count + SPARE, most - there)
+    performance: dict[str, Any] = {"eigensolves": len(seconds)}
+    performance["eigensolve_seconds"], performance["count_seconds"] = np.sum(seconds, axis=0).tolist()
+    return Search(found, complete, notes, performance)
+
+
+def _missing(
+    values: Array,
+    count: int,
+    count_below: Callable[[float, float], int],
+    least: float,
+    left_out: Sequence[float],
+) -> tuple[int, float, list[str]]:
+    """Return how many eigenvalues below some σ above the lowest ``count`` are missing, σ, and notes."""
+    known, last = np.sort([*values, *left_out]), values[count - 1]
+    room, enough = max(APART * abs(last), least), max(COPIES, count)
+
+    def missing_below(*gaps: tuple[float, float]) -> tuple[int, float]:
+        """Return how many are missing below the first gap, centre and half width, that allows a count."""
+        reason = ""
+        for centre, half in gaps:
+            try:
+                number = count_below(centre, 0.8 * half) - int((known < centre).sum())
+            except SolverError as error:
+                reason = str(error)
+            else:
+                if number >= 0:
+                    return number, centre
+                reason = f"{-number} more were found than counted"
+        raise SolverError(reason)
+
+    def end(side: int) -> float:
+        """Return the lowest (side −1) or highest (1) known value that equals the last."""
+        beyond = np.sort(side * known[side * known >= side * last])
+        return float(side * beyond[np.argmax(np.append(np.diff(beyond), np.inf) > 2 * room)])
+
+    above = known[known >= last]
+    halves = np.diff(above) / 2
+    gaps = [(x + half, half) for x, half in zip(above[:-1], halves, strict=True) if half > room]
+    missing, sigma = missing_below(*gaps, *((above[-1] + wide * room, wide * room) for wide in WIDER))
+    if missing <= enough:
+        return missing, sigma, []
+    earlier, first = missing_below((end(-1) - room, room))
+    if earlier:
+        return earlier, first, []
+    missing, sigma = missing_below((end(1) + room, room))
+    if missing <= enough:
+        return missing, sigma, []
+    wanted, found = ((some > first) & (some < sigma) for some in (values[:count], values))
+    equal = missing + found.sum()
+    return 0, sigma, [f"the last {wanted.sum()} are of {equal} equal ones: which of them is arbitrary"]
+
+
+def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: float) -> Pairs:
+    """Return the lowest ``count`` pairs, with vectors that depend on the matrices alone, but for their signs.
+
+    Vectors of equal eigenvalues are those that make vᵀ diag(``probe``) v stationary; ``probe`` (n,) is
+    anything that no symmetry leaves alike.
+    """
+    comm = A.comm.tompi4py()
+    values, vectors, residuals = pairs.values, pairs.vectors.copy(), pairs.residuals.copy()
+    differ = np.diff(values) > np.maximum(EQUAL * abs(values[1:]), least)
+    for members in np.split(np.arange(len(values)), np.flatnonzero(differ) + 1):
+        if len(members) > 1:
+            V = vectors[:, members]
+            V = V @ comm.bcast(np.linalg.eigh(total(comm, V.T @ (probe[:, None] * V)))[1])
+            vectors[:, members] = V
+            residuals[members] = _residuals(apply_real(A, V), _metric(metric, V), values[members], comm)
+    return Pairs(values[:count], vectors[:, :count], residuals[:count])
+
+
 def lowest_pairs(
-    K: Any, count: int, shift: float, *, leave_out: Sequence[NDArray] = (), prefix: str = "petscjam_modes_"
+    K: Any,
+    count: int,
+    shift: float,
+    *,
+    leave_out: Sequence[NDArray] = (),
+    known: Array | None = None,
+    prefix: str = "petscjam_modes_",
 ) -> Pairs:
     """Return the pairs of ``K`` next to ``shift``, ascending: the lowest if none lies below it.
 
@@ -44,18 +197,21 @@ def lowest_pairs(
     K : PETSc.Mat
         Real, flagged symmetric and not Hermitian.
     count : int
-        How many, at most the rows of ``K`` less those left out.
+        How many, at most the rows of ``K`` less those left out and known.
     shift : float
         K − shift is factored: it must not be an eigenvalue.
     leave_out : sequence of (n,)
         Orthonormal null vectors to stay clear of, this rank's rows.
+    known : (n, m)
+        Orthonormal vectors found before: they are not searched for, and are among those returned.
     prefix : str
         Of the PETSc options; those of the factor start with ``<prefix>st_``.
 
     Returns
     -------
     Pairs
-        Vectors orthonormal, residuals ‖Kv − λv‖: K has an eigenvalue within this distance of λ.
+        Vectors orthonormal, residuals ‖Kv − λv‖: K has an eigenvalue within this distance of λ. Fewer than
+        ``count`` and those known if the search ends before.
 
     Raises
     ------
@@ -69,41 +225,73 @@ def lowest_pairs(
     eps.setWhichEigenpairs(eps.Which.TARGET_MAGNITUDE)
     eps.setTarget(shift)
     eps.getST().setType("sinvert")
-    spaces = [_vector(K, column) for column in leave_out]
-    with _failing_in_words(), destroying(eps, *spaces):
-        eps.setDeflationSpace(spaces)
-        _solve(eps, count, prefix)
-        return _real_pairs(K, None, eps, count, largest=False)
+    return _solved(eps, K, None, count, leave_out, known, prefix)
 
 
-def largest_pairs(B: Any, K: Any, count: int, *, prefix: str) -> Pairs:
-    """Return the largest τ of B v = τ K v, descending.
+def pencil_pairs(A: Any, M: Any, count: int, *, known: Array | None = None, prefix: str) -> Pairs:
+    """Return the lowest x of A v = x M v, ascending.
 
     Parameters
     ----------
-    B, K : PETSc.Mat
-        Real, ``K`` positive definite and flagged as above; it is factored. ``B`` may be a shell.
+    A, M : PETSc.Mat
+        Real, ``M`` positive definite and flagged as above; it is factored. ``A`` may be a shell.
     count : int
+    known : (n, m)
+        As in :func:`lowest_pairs`, orthonormal in the metric M.
     prefix : str
 
     Returns
     -------
     Pairs
-        VᵀKV = 1, residuals ‖Bv − τKv‖/‖Kv‖.
+        VᵀMV = 1, residuals ‖Av − xMv‖/‖Mv‖.
 
     Raises
     ------
     SolverError
-        If the factorisation of K or the eigensolver fails.
+        If the factorisation of M or the eigensolver fails.
     """
     SLEPc = slepc()
-    eps = SLEPc.EPS().create(K.comm)
-    eps.setOperators(B, K)
+    eps = SLEPc.EPS().create(M.comm)
+    eps.setOperators(A, M)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    eps.setWhichEigenpairs(eps.Which.LARGEST_REAL)
-    with _failing_in_words(), destroying(eps):
-        _solve(eps, count, prefix)
-        return _real_pairs(B, K, eps, count, largest=True)
+    eps.setWhichEigenpairs(eps.Which.SMALLEST_REAL)
+    return _solved(eps, A, M, count, (), known, prefix)
+
+
+def _solved(
+    eps: Any, A: Any, metric: Any, count: int, leave_out: Sequence[NDArray], known: Array | None, prefix: str
+) -> Pairs:
+    """Solve, with MUMPS LDLᵀ unless the options say otherwise; return the pairs known and found.
+
+    The start is drawn by row. It is real, and so is what follows: the length of a complex vector in the
+    metric of K rounds to a complex number. Where a search is exhausted it goes on at random.
+    """
+    start, stop = A.owner_range
+    V = np.empty((stop - start, 0)) if known is None else known
+    first = np.random.default_rng(V.shape[1]).standard_normal(A.size[0])[start:stop]
+    spaces = [_vector(A, column) for column in (first, *leave_out, *V.T)]
+    eps.setOptionsPrefix(prefix)
+    eps.setDimensions(count)
+    eps.setTolerances(TOLERANCE, RESTARTS)
+    ksp = eps.getST().getKSP()
+    ksp.setType("preonly")
+    ksp.pc.setType("cholesky")
+    ksp.pc.setFactorSolverType("mumps")
+    eps.setFromOptions()
+    eps.setInitialSpace(spaces[0])
+    eps.setDeflationSpace(spaces[1:])
+    with _failing_in_words(), destroying(eps, *spaces):
+        with stage("eigensolve"):
+            eps.solve()
+        new = min(eps.getConverged(), count)
+        if new == 0:
+            raise SolverError(f"SLEPc found none of {count} modes (reason {eps.getConvergedReason()})")
+        vector = spaces[0]
+        columns = [*V.T]
+        for k in range(new):
+            eps.getEigenpair(k, vector)
+            columns += [vector.array.real.copy(), vector.array.imag.copy()]
+        return _real_pairs(A, metric, np.stack(columns, axis=1), V.shape[1] + new)
 
 
 @contextmanager
@@ -115,55 +303,25 @@ def _failing_in_words() -> Iterator[None]:
         raise SolverError(f"SLEPc failed: {error}") from error
 
 
-def _solve(eps: Any, count: int, prefix: str) -> None:
-    """Solve, with MUMPS LDLᵀ unless the options say otherwise.
-
-    The start is drawn by row. It is real, and so is what follows: the length of a complex vector in the
-    metric of K rounds to a complex number. Where a search is exhausted it goes on at random.
-    """
-    eps.setOptionsPrefix(prefix)
-    eps.setDimensions(count)
-    eps.setTolerances(TOLERANCE, RESTARTS)
-    ksp = eps.getST().getKSP()
-    ksp.setType("preonly")
-    ksp.pc.setType("cholesky")
-    ksp.pc.setFactorSolverType("mumps")
-    eps.setFromOptions()
-    matrix = eps.getOperators()[0]
-    start = _vector(
-        matrix, np.random.default_rng(0).standard_normal(matrix.size[0])[slice(*matrix.owner_range)]
-    )
-    with destroying(start), stage("eigensolve"):
-        eps.setInitialSpace(start)
-        eps.solve()
-    if eps.getConverged() < count:
-        reason = eps.getConvergedReason()
-        raise SolverError(f"SLEPc found {eps.getConverged()} of {count} modes (reason {reason})")
-
-
-def _real_pairs(A: Any, metric: Any, eps: Any, count: int, *, largest: bool) -> Pairs:
-    """Turn the vectors of ``eps`` into real ones, orthonormal in ``metric``, by Rayleigh–Ritz."""
-    comm, vector, columns = A.comm.tompi4py(), A.createVecRight(), []
-    for k in range(count):
-        eps.getEigenpair(k, vector)
-        columns += [vector.array.real.copy(), vector.array.imag.copy()]
-    vector.destroy()
-    V = np.stack(columns, axis=1)
+def _real_pairs(A: Any, metric: Any, V: Array, count: int) -> Pairs:
+    """Return the lowest pairs in the span of ``V`` by Rayleigh–Ritz, orthonormal in ``metric``."""
+    comm = A.comm.tompi4py()
     for _ in range(2):  # the second time takes off what the first rounds
-        sizes, rotation = np.linalg.eigh(total(comm, V.T @ _metric(metric, V)))
+        sizes, rotation = comm.bcast(np.linalg.eigh(total(comm, V.T @ _metric(metric, V))))
         kept = sizes > NEW * sizes[-1]
         V = V @ (rotation[:, kept] / np.sqrt(sizes[kept]))
-    if V.shape[1] < count:
-        raise SolverError(f"SLEPc's {count} vectors span only {V.shape[1]} modes")
     AV = apply_real(A, V)
     ritz = total(comm, V.T @ AV)
     values, rotation = comm.bcast(np.linalg.eigh((ritz + ritz.T) / 2))
-    wanted = np.arange(len(values))[:: -1 if largest else 1][:count]
-    values, rotation = values[wanted], rotation[:, wanted]
+    values, rotation = values[:count], rotation[:, :count]
     V, AV = V @ rotation, AV @ rotation
-    MV = _metric(metric, V)
+    return Pairs(values, V, _residuals(AV, _metric(metric, V), values, comm))
+
+
+def _residuals(AV: Array, MV: Array, values: Array, comm: Any) -> Array:
+    """Return ‖Av − xMv‖/‖Mv‖ of each pair."""
     left, size = total(comm, np.stack([((AV - MV * values) ** 2).sum(0), (MV**2).sum(0)])) ** 0.5
-    return Pairs(values, V, left / size)
+    return left / size
 
 
 def _metric(metric: Any, V: Array) -> Array:

@@ -17,23 +17,22 @@ from scipy.sparse import csr_array
 
 from petscjam.box import Array, Integers
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, SolverError, shown
+from petscjam.errors import InputError, shown
 from petscjam.kinematics import contact_rows, strain_mode
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root, resolve, total
-from petscjam.parallel.eigen import Pairs, lowest_pairs
+from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.progress import Report
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem, agree, describe
 
-SPARE = 3  # modes above the last, to find a gap in which they can be counted
-TRIES = 3  # searches, each for what the count before says was missed
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
+TIE = 1e-6  # relative difference up to which components are equally large
 ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
 
 
@@ -54,7 +53,8 @@ class Modes:
     eigenvalues : (M,)
         λ, ascending; negative where the packing is no minimum.
     vectors : (M, n, 2)
-        Displacements, orthonormal; the largest component is positive.
+        Displacements, orthonormal; the largest component is positive. Those of equal eigenvalues are chosen
+        so that they depend on the packing alone.
     residuals : (M,)
         ‖Kv − λv‖: K has an eigenvalue within this distance of λ.
     complete : bool or None
@@ -137,7 +137,12 @@ def lowest_modes(
     """Return the ``count`` lowest modes of K on the backbone, and prove that none was missed.
 
     Shift and invert below the lowest eigenvalue, translations deflated. Then the pivots of one real LDLᵀ of
-    K − σ, σ in a gap above the last mode, count the eigenvalues below σ (Sylvester).
+    K − σ, σ in a gap above the last mode, count the eigenvalues below σ (Sylvester). What is missing, such as
+    copies of a degenerate mode, is searched for with the modes found deflated, until the count agrees.
+
+    ``count`` may cut a set of equal eigenvalues. The list is then the start of a longer one: its vectors are
+    among those that a larger ``count`` gives. Only where many more are equal (over 64, and over ``count``)
+    are they not all found; which of them are in the list is then arbitrary, and a note says so.
 
     Parameters
     ----------
@@ -175,7 +180,12 @@ def lowest_modes(
         progress(0.0, needs)
     stiffest = float(total(comm, problem.K_backbone.diagonal()).max())
     with assembled(problem.K_backbone, problem.B_backbone, dofs, comm) as pencil:
-        found, complete, performance = _searched(problem, pencil, count, -BELOW * stiffest, progress)
+        count = min(count, dofs.size - 2)
+        if dofs.size <= LARGEST_DENSE and count > MANY * dofs.size:
+            search = _dense(problem, pencil, count, ZERO * stiffest)
+        else:
+            search = _searched(problem, pencil, count, stiffest, progress)
+        found = settled(pencil.K, None, search.pairs, count, probe(dofs, comm.rank), ZERO * stiffest)
         values, vectors = found.values, everywhere(problem, dofs, found.vectors)
         force = total(comm, found.vectors.T @ pencil.k[:, 0])
     sign = signs(vectors)
@@ -192,15 +202,16 @@ def lowest_modes(
     square = (vectors**2).sum(2)
     with np.errstate(divide="ignore"):
         floppiness = np.sqrt(sliding.sum(0) / pressing.sum(0))
-    performance["seconds"] = comm.bcast(time.perf_counter() - start)
+    performance = {"ranks": comm.size, "unknowns": dofs.size, **search.performance}
+    performance["seconds"] = time.perf_counter() - start
     return Modes(
-        eigenvalues=values, vectors=vectors, residuals=found.residuals, complete=complete,
+        eigenvalues=values, vectors=vectors, residuals=found.residuals, complete=search.complete,
         disks=np.flatnonzero(network.backbone),
         participation=square.sum(1) ** 2 / (square.shape[1] * (square**2).sum(1)), floppiness=floppiness,
         amplitudes=amplitudes, softening=-mode.scale * amplitudes * force / packing.box.area,
         G_affine=problem.modulus(problem.affine[0]).real, strain=strain, prestress=prestress,
-        packing=describe(packing, network, name), geometry=packing, notes=tuple(problem.notes),
-        performance=performance,
+        packing=describe(packing, network, name), geometry=packing,
+        notes=(*problem.notes, *search.notes), performance=comm.bcast(performance),
     )  # fmt: skip
 
 
@@ -213,8 +224,10 @@ def check(count: int, network: ContactNetwork) -> None:
 
 
 def signs(vectors: Array) -> Array:
-    """Return the sign of the largest component of each of ``vectors`` (M, 2n)."""
-    return np.sign(np.take_along_axis(vectors, abs(vectors).argmax(1)[:, None], axis=1))[:, 0]
+    """Return the sign of the largest component of each of ``vectors`` (M, 2n); the first of several."""
+    size = abs(vectors)
+    largest = (size > (1 - TIE) * size.max(1, keepdims=True)).argmax(1)
+    return np.sign(np.take_along_axis(vectors, largest[:, None], axis=1))[:, 0]
 
 
 def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray) -> Array:
@@ -230,50 +243,41 @@ def _rows(network: ContactNetwork, strain: str) -> tuple[csr_array, Array]:
     return rows[:, np.flatnonzero(np.outer(network.backbone, [True, True, False]))], affine[:, 0]
 
 
+def probe(dofs: Dofs, rank: int) -> Array:
+    """Return a random number for each of this rank's unknowns, the same however the disks are dealt."""
+    start, stop = dofs.rows_of(rank)
+    return np.random.default_rng(0).standard_normal(dofs.index.size)[dofs.flat[start:stop]]
+
+
 def _searched(
-    problem: LinearProblem, pencil: Pencil, count: int, shift: float, progress: Report | None
-) -> tuple[Pairs, bool | None, dict[str, Any]]:
-    """Search until a count agrees; return the pairs, whether it was had, and what all took."""
-    comm, size = problem.comm, pencil.dofs.size
-    whole, network, prestress = size - 2, problem.backbone, problem.prestress
-    count = min(count, whole)
-    if problem.negative_modes:
-        shift = on_root(comm, lambda: below_all(hessian(network, prestress)))
+    problem: LinearProblem, pencil: Pencil, count: int, stiffest: float, progress: Report | None
+) -> Search:
+    """Search until a count says that no mode is missing."""
+    comm, size, network = problem.comm, pencil.dofs.size, problem.backbone
+    shift = -BELOW * stiffest
+    if problem.negative_modes != 0:
+        shift = on_root(comm, lambda: below_all(hessian(network, problem.prestress)))
     start, stop = pencil.dofs.rows_of(comm.rank)
     components = pencil.dofs.flat[start:stop] % 3
     translations = [(components == x) * (size / 2) ** -0.5 for x in range(2)]
-    if size <= LARGEST_DENSE and count > MANY * size:
-        return _dense(problem, pencil, count)
-    wanted, spent = min(count + SPARE, whole), []
-    for _ in range(TRIES):
-        times = [time.perf_counter()]
-        found = lowest_pairs(pencil.K, wanted, shift, leave_out=translations)
-        times.append(time.perf_counter())
+
+    def search(wanted: int, known: Array | None) -> Pairs:
+        found = lowest_pairs(pencil.K, wanted, shift, leave_out=translations, known=known)
         if progress:
-            progress(0.8, f"{wanted} modes, residual {found.residuals.max(initial=0.0):.0e}")
-        missed: int | None = 0
-        if wanted < whole:
-            try:
-                missed = on_root(comm, _missed, network, prestress, found, count)
-            except SolverError as error:
-                missed = None
-                problem.notes.append(f"the modes could not be counted: {error}")
-            give_back_memory()
-        spent.append(np.diff([*times, time.perf_counter()]))
-        if not missed:
-            break
-        wanted = min(wanted + abs(missed), whole)
-    else:
-        raise SolverError(f"the eigensolver missed {missed} of the lowest modes, {TRIES} times")
-    performance: dict[str, Any] = {"ranks": comm.size, "unknowns": size, "eigensolves": len(spent)}
-    performance["eigensolve_seconds"], performance["count_seconds"] = comm.bcast(
-        np.sum(spent, axis=0).tolist()
+            progress(0.8, f"{len(found.values)} modes, residual {found.residuals.max():.0e}")
+        return found
+
+    def count_below(sigma: float, room: float) -> int:
+        below = on_root(comm, lambda: pivots_below(hessian(network, problem.prestress), sigma, room))
+        give_back_memory()
+        return below
+
+    return search_all(
+        search, count_below, count, size - 2, least=lambda _: ZERO * stiffest, left_out=(0.0, 0.0)
     )
-    lowest = Pairs(found.values[:count], found.vectors[:, :count], found.residuals[:count])
-    return lowest, None if missed is None else True, performance
 
 
-def _dense(problem: LinearProblem, pencil: Pencil, count: int) -> tuple[Pairs, bool, dict[str, Any]]:
+def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> Search:
     """Return the lowest modes out of all, by LAPACK on one rank; the translations are moved above them."""
     comm, backbone = problem.comm, problem.backbone.backbone
 
@@ -282,37 +286,17 @@ def _dense(problem: LinearProblem, pencil: Pencil, count: int) -> tuple[Pairs, b
         translations = np.tile(np.eye(2), (int(backbone.sum()), 1)) / np.sqrt(backbone.sum())
         above = 2 * abs(K).sum(0).max()
         values, vectors = eigh(K.toarray() + above * translations @ translations.T)
-        values, vectors = values[:count], vectors[:, :count]
+        last = values[count - 1]
+        some = values <= last + max(EQUAL * abs(last), least)
+        values, vectors = values[some], vectors[:, some]
         return values, vectors, np.linalg.norm(K @ vectors - vectors * values, axis=0)
 
     start = time.perf_counter()
     values, vectors, residuals = on_root(comm, solve)
     field = np.zeros((len(backbone), 3), dtype=complex)
-    local = np.empty((pencil.dofs.counts[comm.rank], count))
-    for m in range(count):
+    local = np.empty((pencil.dofs.counts[comm.rank], len(values)))
+    for m in range(len(values)):
         field[backbone, :2] = vectors[:, m].reshape(-1, 2)
         local[:, m] = pencil.dofs.scatter(field, comm.rank).real
-    seconds = comm.bcast(time.perf_counter() - start)
-    performance = {"ranks": comm.size, "unknowns": pencil.dofs.size, "eigensolves": 1,
-                   "eigensolve_seconds": seconds, "count_seconds": 0.0}  # fmt: skip
-    return Pairs(values, local, residuals), True, performance
-
-
-def _missed(network: ContactNetwork, prestress: bool, found: Pairs, count: int) -> int:
-    """Return how many eigenvalues below the widest gap that was found above the lowest ``count`` were not.
-
-    Raises
-    ------
-    SolverError
-        If rounding is not below all of these gaps.
-    """
-    K, reason = hessian(network, prestress), "the last modes are degenerate"
-    for below in count + np.argsort(-np.diff(found.values)[count - 1 :]):
-        low, high = found.values[below - 1 : below + 1]
-        sigma = (low + high) / 2
-        room = min((high - low) / 2 - found.residuals[: below + 1].max(), abs(sigma))
-        try:
-            return pivots_below(K, sigma, room) - int(below) - 2 * (sigma > 0)
-        except SolverError as error:
-            reason = str(error)
-    raise SolverError(reason)
+    performance = {"eigensolves": 1, "eigensolve_seconds": time.perf_counter() - start, "count_seconds": 0.0}
+    return Search(Pairs(values, local, residuals), True, [], performance)

@@ -9,24 +9,26 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import dia_array
 
 from petscjam.box import Array, Integers
-from petscjam.damping import DampingLaw, law_or_default
+from petscjam.damping import DampingLaw, law_or_default, viscous_form
 from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import strain_mode
+from petscjam.kinematics import elastic_form, strain_mode
+from petscjam.packing.certify import matrix, negative_pivots, pivots_below
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve, total
-from petscjam.parallel.eigen import largest_pairs
-from petscjam.parallel.memory import check_memory
+from petscjam.parallel.comm import on_root, resolve, total
+from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
+from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.modes import check, everywhere, lowest_modes, signs
+from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
 from petscjam.response.problem import LinearProblem, agree, describe
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
@@ -48,6 +50,8 @@ class RelaxationModes:
         Displacements, vᵀKv = 1; the mean over the backbone is zero, the largest component positive.
     residuals : (M,)
         ‖Bv − τKv‖/‖τKv‖.
+    complete : bool or None
+        True: a count of all slower relaxations proves that none was missed; None where a note says why not.
     disks : (n,)
         Which disks of the packing these are.
     strain : str
@@ -58,13 +62,14 @@ class RelaxationModes:
     geometry : Packing
     notes : tuple of str
     performance : dict
-        Ranks, seconds.
+        Ranks, unknowns, eigensolves and counts, seconds.
     """
 
     times: Array
     weights: Array
     vectors: Array
     residuals: Array
+    complete: bool | None
     disks: Integers
     strain: str
     damping: DampingLaw
@@ -86,10 +91,12 @@ def relaxation_modes(
     name: str = "packing",
     progress: Report | None = None,
 ) -> RelaxationModes:
-    """Return the ``count`` slowest relaxations of a packing. It is not proved that none was missed.
+    """Return the ``count`` slowest relaxations of a packing, and prove that none was missed.
 
     θ costs no energy and follows u: B is B_uu − B_uθ B_θθ⁻¹ B_θu. Under Stokes drag the relaxations are the
-    modes of K, with τ = 1/λ, and those are proved.
+    modes of K, with τ = 1/λ. Under contact damping the pivots of one real LDLᵀ of B − τK over u and θ, τ in a
+    gap below the last, count the slower ones. A set of equal times may be cut by ``count``, as in
+    :func:`petscjam.lowest_modes`.
 
     Parameters
     ----------
@@ -130,56 +137,117 @@ def relaxation_modes(
             raise SolverError(f"K has {many} {kind} modes: motions along them do not relax")
     if law.body:
         soft = lowest_modes(packing, count, prestress=prestress, strain=strain, comm=comm, progress=progress)
-        times, notes = law.body / soft.eigenvalues, (*problem.notes, *soft.notes)
-        vectors = soft.vectors / np.sqrt(soft.eigenvalues)[:, None, None]
-        weights, residuals = soft.softening, soft.residuals / soft.eigenvalues
+        root = np.sqrt(soft.eigenvalues)
+        found = _Relaxations(
+            law.body / soft.eigenvalues, soft.softening, soft.vectors / root[:, None, None],
+            soft.residuals / soft.eigenvalues, soft.complete, soft.performance
+        )  # fmt: skip
+        problem.notes += soft.notes
     else:
-        times, weights, vectors, residuals = _under_contact_damping(problem, count, progress)
-        notes = tuple(problem.notes)
+        found = _under_contact_damping(problem, count, progress)
+    performance = {**found.performance, "seconds": comm.bcast(time.perf_counter() - start)}
     return RelaxationModes(
-        times, weights, vectors, residuals, np.flatnonzero(problem.backbone.backbone), strain, law, prestress,
-        describe(packing, problem.backbone, name), packing, notes,
-        {"ranks": comm.size, "seconds": comm.bcast(time.perf_counter() - start)},
+        found.times, found.weights, found.vectors, found.residuals, found.complete,
+        np.flatnonzero(problem.backbone.backbone), strain, law, prestress,
+        describe(packing, problem.backbone, name), packing, tuple(problem.notes), performance,
     )  # fmt: skip
 
 
-def _under_contact_damping(
-    problem: LinearProblem, count: int, progress: Report | None
-) -> tuple[Array, Array, Array, Array]:
-    """Return times, weights, vectors and residuals; B does not see translations, and one disk is held."""
+class _Relaxations(NamedTuple):
+    times: Array
+    weights: Array
+    vectors: Array
+    residuals: Array
+    complete: bool | None
+    performance: dict[str, Any]
+
+
+def _under_contact_damping(problem: LinearProblem, count: int, progress: Report | None) -> _Relaxations:
+    """Return the slowest relaxations; B does not see translations, and one disk is held."""
     comm = problem.comm
     dofs = problem.number(problem.active)
     needs = check_memory(comm, dofs.size)
     if progress:
         progress(0.0, needs)
     with assembled(problem.K, problem.B, dofs, comm) as pencil, _eliminated(pencil, comm) as part:
-        found = largest_pairs(part.B, part.K, min(count, part.K.size[0]), prefix="petscjam_relaxations_")
+        most = part.K.size[0]
+        count = min(count, most)
+
+        def search(wanted: int, known: Array | None) -> Pairs:
+            found = pencil_pairs(part.minus_B, part.K, wanted, known=known, prefix="petscjam_relaxations_")
+            if progress:
+                progress(0.8, f"{len(found.values)} relaxations")
+            return found
+
+        def count_below(sigma: float, room: float) -> int:
+            slower = on_root(comm, _slower, problem, -sigma, room)
+            give_back_memory()
+            return slower
+
+        def least(values: Array) -> float:
+            return INSTANT * float(abs(values[0]))
+
+        searched = search_all(search, count_below, count, most, least=least)
+        pairs, own = searched.pairs, probe(dofs, comm.rank)[part.moves]
+        found = settled(part.minus_B, part.K, pairs, count, own, least(pairs.values))
         k, b = (total(comm, found.vectors.T @ pull) for pull in (part.k, part.b))
-        fields = np.zeros((len(pencil.k), len(found.values)), dtype=complex)
+        fields = np.zeros((len(pencil.k), count), dtype=complex)
         fields[part.moves] = found.vectors
         vectors = everywhere(problem, dofs, fields)
     vectors = vectors.reshape(len(vectors), -1, 2)
     vectors = vectors - vectors.mean(1, keepdims=True)
     vectors *= signs(vectors.reshape(len(vectors), -1))[:, None, None]
-    times, last = found.values, INSTANT * found.values.max()
+    times, last = -found.values, least(found.values)
     drag = np.divide(b, times, out=np.zeros_like(b), where=times > last)
     weights = problem.strains[0].scale * (k - drag) ** 2 / problem.packing.box.area
-    return times, weights, vectors, found.residuals / np.maximum(times, last)
+    problem.notes += searched.notes
+    return _Relaxations(
+        times, weights, vectors, found.residuals / np.maximum(times, last), searched.complete,
+        comm.bcast({"ranks": comm.size, "unknowns": dofs.size, **searched.performance}),
+    )  # fmt: skip
+
+
+def _slower(problem: LinearProblem, tau: float, room: float) -> int:
+    """Count the times above ``tau``; those within ``room`` of it count or do not.
+
+    They are the positive eigenvalues of S − τK, S = B_uu − B_uθ B_θθ⁻¹ B_θu (Sylvester). This is a Schur
+    complement in B − τK over u and θ, which has one more for each θ (Haynsworth, Linear Algebra Appl. 1, 73,
+    1968). A factorisation that rounds by less than the lowest eigenvalue of ¼(room/τ)(τK + B) is one with a
+    τ that is off by less than ``room``. The unknowns are scaled to a unit diagonal of τK + B.
+
+    Raises
+    ------
+    SolverError
+        If a factorisation fails, or rounds by more.
+    """
+    everybody = np.ones(len(problem.packing), dtype=bool)
+    unknowns = np.flatnonzero(problem.active)
+    K = elastic_form(problem.network, everybody, problem.strains, prestress=problem.prestress)
+    B = viscous_form(problem.network, everybody, problem.strains, problem.law)
+    K, B = (matrix(form, unknowns) for form in (K, B))
+    scale = max(abs(tau), room)
+    both = scale * K + B
+    root = dia_array((both.diagonal()[None] ** -0.5, [0]), shape=both.shape)
+    positive, rounding = negative_pivots(root @ (tau * K - B) @ root)
+    lowest = 4 * rounding * scale / room
+    if pivots_below(root @ both @ root, 2 * lowest, lowest) > 0:
+        raise SolverError(f"the factorisation of K and B rounds by more than {room / scale:.1e} of τ")
+    return positive - int(problem.active[:, 2].sum())
 
 
 @dataclass(frozen=True, eq=False)
 class _Eliminated:
-    """K and B between displacements, θ following; ``k`` and ``b`` (n,), and which local rows they are."""
+    """K and −B between displacements, θ following; ``k`` and ``b`` (n,), and which local rows they are."""
 
     K: Any
-    B: Any
+    minus_B: Any
     k: Array
     b: Array
     moves: NDArray[np.bool_]
 
 
 class _Following:
-    """B_uu − B_uθ B_θθ⁻¹ B_θu, as a matrix of PETSc's."""
+    """B_uθ B_θθ⁻¹ B_θu − B_uu, as a matrix of PETSc's."""
 
     def __init__(self, B_uu: Any, B_ur: Any, solver: DirectSolver) -> None:
         self._uu, self._ur, self._solver, self._turns = B_uu, B_ur, solver, B_ur.createVecRight()
@@ -189,6 +257,7 @@ class _Following:
         self._uu.mult(x, y)
         self._ur.multTranspose(x, self._turns)
         self.follow(self._turns, y)
+        y.scale(-1.0)
 
     def follow(self, torque: Any, y: Any) -> None:
         """Subtract B_uθ B_θθ⁻¹ ``torque``."""
@@ -222,10 +291,10 @@ def _eliminated(pencil: Pencil, comm: Any) -> Iterator[_Eliminated]:
     ):
         solver.factor(B_rr)
         following = _Following(B_uu, B_ur, solver)
-        B = PETSc.Mat().createPython(B_uu.getSizes(), following, comm=comm)
-        B.setUp()
+        minus_B = PETSc.Mat().createPython(B_uu.getSizes(), following, comm=comm)
+        minus_B.setUp()
         drag, torque = B_ur.createVecLeft(), B_ur.createVecRight()
-        with destroying(B, drag, torque):
+        with destroying(minus_B, drag, torque):
             drag.array[:], torque.array[:] = pencil.b[moves, 0], pencil.b[~moves, 0]
             following.follow(torque, drag)
-            yield _Eliminated(K, B, pencil.k[moves, 0], drag.array.real.copy(), moves)
+            yield _Eliminated(K, minus_B, pencil.k[moves, 0], drag.array.real.copy(), moves)
