@@ -64,6 +64,29 @@ def comm():
     return MPI.COMM_WORLD
 
 
+def names(message, value):
+    """Tell whether ``value`` stands in ``message``; a number by itself: 3 does not in 0.3, 13 or a path."""
+    if not re.fullmatch(r"-?\d+", value):
+        return value in message
+    return re.search(rf"(?<![\w./-]){re.escape(value)}(\.0)?(?!\w|\.\d|/)", message) is not None
+
+
+@pytest.fixture
+def titles(monkeypatch):
+    """Every text in the figures that a test saves, which are drawn coarsely."""
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    found, savefig = [], Figure.savefig
+
+    def keep(figure, *arguments, **options):
+        found.extend(text.get_text() for text in figure.findobj(Text) if text.get_text())
+        savefig(figure, *arguments, **{**options, "dpi": 20})
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return found
+
+
 @pytest.fixture
 def environment():
     """Return the environment of Python's start, for subprocesses: ``subprocess.run(…, env=environment)``.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import names
 
 import petscjam as pj
 from petscjam.cli import main
@@ -137,8 +138,8 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
     ("options", "named"),
     [
         (["--beta", "-1"], "-1"), (["--damping", "stokes", "--eta-fluid", "-2"], "-2"),
-        (["--omega", "0:1:5"], "0"), (["--omega=-1:1:5"], "-1"), (["--omega", "-1:1:5"], "-1"),
-        (["--omega", "1:0.1:5"], "1:0.1:5"),
+        (["--omega", "0:1:5"], "--omega: 0 is not"), (["--omega=-1:1:5"], "-1"),
+        (["--omega", "-1:1:5"], "-1"), (["--omega", "1:0.1:5"], "1:0.1:5"),
         (["--omega", "1:10:0"], "1:10:0"), (["--omega", "fast"], "fast"), (["--omega", ""], "''"),
         (["--bta", "1"], "--beta"), (["--eta-fluid", "1"], "--eta-fluid"), (["--beta", "much"], "much"),
         (["--damping", "stokes", "--beta", "1"], "--beta"), (["--damping", "glue"], "glue"),
@@ -148,7 +149,7 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
 )  # fmt: skip
 def test_bad_options(packing, tmp_path, capfd, options, named):
     capfd.readouterr()
-    assert named in refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options)
+    assert names(refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options), named)
     assert not (tmp_path / "g.h5").exists()
 
 
@@ -242,7 +243,7 @@ def test_prepare_many_seeds_and_resume(tmp_path):
         (["--seeds", "5:1"], "5:1"),
         (["--seeds", "1:99999999999"], "99999999999"),
         (["--method", "magic"], "magic"),
-        (["--pressure", "1e-3,0"], "0"),
+        (["--pressure", "1e-3,0"], "--pressure: 0 is not"),
         (["--pressure", "1e-2:1e-3"], "1e-2:1e-3"),
         (["--particles", "64,3"], "3"),
         (["--particles", "many"], "many"),
@@ -254,7 +255,7 @@ def test_prepare_many_seeds_and_resume(tmp_path):
     ],
 )
 def test_prepare_refuses(tmp_path, capfd, options, named):
-    assert named in refused(capfd, "prepare", *options, "-o", tmp_path / "p.h5")
+    assert names(refused(capfd, "prepare", *options, "-o", tmp_path / "p.h5"), named)
 
 
 def test_info_says_what_was_certified(tmp_path, capsys):
@@ -332,7 +333,7 @@ def test_an_imported_packing_is_relaxed_on_request(packing, tmp_path):
     ],
 )  # fmt: skip
 def test_import_refuses(tmp_path, capfd, options, named):
-    assert named in refused(capfd, "import", SIXTEEN, *options, "-o", tmp_path / "p.h5")
+    assert names(refused(capfd, "import", SIXTEEN, *options, "-o", tmp_path / "p.h5"), named)
     assert not (tmp_path / "p.h5").exists()
 
 
@@ -452,9 +453,9 @@ def test_an_input_is_never_the_output(packing, tmp_path, capfd):
 def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     packing, tmp_path, capfd, monkeypatch, output
 ):
-    import petscjam.response.moduli as moduli
+    from petscjam.response.problem import LinearProblem
 
-    monkeypatch.setattr(moduli, "complex_modulus", lambda *a, **k: pytest.fail("worked in vain"))
+    monkeypatch.setattr(LinearProblem, "__init__", lambda *a, **k: pytest.fail("worked in vain"))
     monkeypatch.chdir(tmp_path)
     capfd.readouterr()
     assert "folder" in refused(capfd, "moduli", packing, "-o", output)
@@ -600,7 +601,7 @@ def test_a_factor_out_of_core_changes_nothing_but_rounding(packing, modulus, tmp
     ],
 )
 def test_bad_settings_of_spectra_are_named(packing, tmp_path, capfd, options, named):
-    assert named in refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options)
+    assert names(refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options), named)
 
 
 @pytest.mark.parametrize("fmt", ["csv", "tts", "gt"])

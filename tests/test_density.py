@@ -300,8 +300,44 @@ def test_negative_modes_that_nobody_could_count_are_noticed(monkeypatch):
 
 def test_one_disk_is_refused():
     one = pj.Packing([[0.0, 0.0]], [0.5], pj.Box(0.99 * np.eye(2)))
-    with pytest.raises(pj.InputError):
+    with pytest.raises(pj.InputError, match="one disk has no modes"):
         density_of_states(one, prestress=False)
+
+
+def triangles(n):
+    """The triangular lattice of ``n`` disks, one row that leans, and its frequencies by Bloch's theorem."""
+    a = 0.99
+    rows = a * np.array([[1, 0], [0.5, 0.75**0.5]])
+    packing = pj.Packing(np.arange(n)[:, None] * rows[0], np.full(n, 0.5), pj.Box([n * rows[0], rows[1]]))
+    found = []
+    for k in range(1, n):
+        q = 2 * np.pi * k / n
+        D = np.zeros((2, 2))
+        for r, phase in ((rows[0], q), (rows[1], 0.0), (rows[1] - rows[0], -q)):
+            normal = r / a
+            D += 2 * (1 - np.cos(phase)) * np.outer(normal, normal)
+        found += np.linalg.eigvalsh(D).tolist()
+    return packing, np.sqrt(np.sort(found))
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_few_disks(n):
+    """Random signs that are all alike are a translation, and are drawn again."""
+    lattice, modes = triangles(n)
+    d = density_of_states(lattice, moments=64, vectors=400, prestress=False)
+    exact = smoothed(d.omega, modes, d.edge, 64)
+    assert d.modes == len(modes) == 2 * n - 2
+    assert np.isfinite(d.moments).all()
+    assert (abs(d.density - exact) <= 4.5 * d.error + 1e-9 * exact.max()).all()
+
+
+def test_start_vectors_of_few_disks_have_length_one_and_no_preference():
+    """Over many draws ⟨v vᵀ⟩ is what is left of 1 without translations."""
+    backbone = np.array([True, True, False, True])
+    v = np.array([density.start_vector(1, k, backbone)[backbone, :2].ravel() for k in range(4000)])
+    assert np.linalg.norm(v, axis=1) == pytest.approx(1, abs=1e-14)
+    e = np.tile(np.eye(2), 3) / 3**0.5
+    assert v.T @ v / len(v) == pytest.approx((np.eye(6) - e.T @ e) / 4, abs=0.02)
 
 
 # ---- the figure

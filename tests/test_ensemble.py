@@ -320,17 +320,17 @@ def test_a_family_with_a_rank_that_owns_nothing(comm):
 
 
 @pytest.mark.parametrize(
-    ("betas", "options"),
+    ("betas", "options", "named"),
     [
-        ((0.0, 1.0), {}),
-        ((1.0, 0.1), {}),
-        ((1.0, 1e6), {}),
-        ((0.1, 1.0), {"rtol": 0.0}),
-        ((0.1, 1.0), {"span": (1.0, 1.0)}),
+        ((0.0, 1.0), {}, "betas: must be 0 < low ≤ high, not 0 and 1"),
+        ((1.0, 0.1), {}, "betas: must be 0 < low ≤ high, not 1 and 0.1"),
+        ((1.0, 1e6), {}, r"betas: at most 1000, not 1e\+06"),
+        ((0.1, 1.0), {"rtol": 0.0}, "rtol: .* not 0.0"),
+        ((0.1, 1.0), {"span": (1.0, 1.0)}, "span: must be 0 < low < high, not 1 twice"),
     ],
 )
-def test_bad_ranges_are_refused(packings, betas, options):
-    with pytest.raises(InputError):
+def test_bad_ranges_are_refused(packings, betas, options, named):
+    with pytest.raises(InputError, match=named):
         pj.beta_family(pj.Packing.read(packings[0]), betas, **options)
 
 

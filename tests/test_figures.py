@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import names
 
 import petscjam as pj
 from petscjam.analysis.scaling import Curve, collapse, power_law
@@ -279,7 +280,7 @@ def test_what_is_unknown_is_named(tmp_path, capfd, arguments, named):
     ],
 )  # fmt: skip
 def test_a_bad_value_is_named(tmp_path, capfd, changed, named):
-    assert named in refused(capfd, *command(tmp_path, parameters={**COMMON, **changed}))
+    assert names(refused(capfd, *command(tmp_path, parameters={**COMMON, **changed})), named)
 
 
 def test_parameters_that_are_not_toml(tmp_path, capfd):

@@ -11,6 +11,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
+from conftest import names
 
 import petscjam as pj
 import petscjam.plots
@@ -511,7 +512,7 @@ def test_the_command_line_counts_more_than_the_file(tmp_path, config):
 )  # fmt: skip
 def test_bad_settings(tmp_path, config, capfd, text, named):
     config.write_text(text)
-    assert named in refused(capfd, "prepare", "--config", config, "-o", tmp_path / "lib")
+    assert names(refused(capfd, "prepare", "--config", config, "-o", tmp_path / "lib"), named)
 
 
 def test_no_file_of_settings(tmp_path, capfd):

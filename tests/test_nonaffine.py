@@ -83,9 +83,10 @@ def test_without_pre_stress_there_is_no_such_term():
     assert pj.quasistatic_response(jammed(), prestress=False).pre_stress == 0
 
 
-@pytest.mark.parametrize("pressure", [1e-1, 1e-4])
+@pytest.mark.parametrize("pressure", [1e-2, 1e-4])
 def test_rattlers_are_left_out(pressure):
     packing = jammed(pressure, n=128, seed=1)
+    assert packing.certificate.rattlers > 0
     r = pj.quasistatic_response(packing)
     assert len(r.nonaffine) == len(packing) - packing.certificate.rattlers == len(r.disks)
     assert set(np.unique(r.contacts)) == set(r.disks)

@@ -228,9 +228,11 @@ def test_the_bound_is_within_a_factor_of_a_hundred(law, strain, prestress, press
     g = direct(jammed(pressure), law, strain, prestress)
     for rtol in TOLERANCES:
         s = model(jammed(pressure), rtol, SPAN, law, strain, prestress)
-        error = np.abs(s(g.omega) / g.values - 1)
+        error, bound = np.abs(s(g.omega) / g.values - 1), s.error(g.omega)
         seen = error > 1e-10
-        assert (s.error(g.omega)[seen] <= 100 * error[seen]).all()
+        assert (bound[seen] <= 100 * error[seen]).all()
+        # a model that is exact but for rounding after two or three nodes: nothing is left to be seen
+        assert seen.any() or (s.factorisations <= 3 and bound.max() < 1e-7)
 
 
 @any_pressure
@@ -241,24 +243,25 @@ def test_the_tolerance_is_met_on_a_finer_grid_than_it_was_asked_on(law, pressure
         assert model(jammed(pressure), rtol, SPAN, law).error(omega).max() <= 1.01 * rtol
 
 
-@pytest.mark.parametrize("span", [NARROW, (0.5, 1.0), (10.0, 100.0), (1e-8, 1e-6)], ids=str)
+@pytest.mark.parametrize("span", [NARROW, (0.5, 1.0), (10.0, 100.0)], ids=str)
 @two_laws
 def test_outside_its_span_a_model_is_within_the_bound(law, span):
     g = direct(jammed(1e-2), law, span=(1e-10, 1e5))
     s = model(jammed(1e-2), 1e-4, span, law)
-    assert (
-        np.abs(s(g.omega) - g.values) <= s.error(g.omega) * np.abs(s(g.omega)) + DIRECT * np.abs(g.values)
-    ).all()
+    error, bound = np.abs(s(g.omega) - g.values), s.error(g.omega)
+    assert (np.isfinite(bound) & (error > 1e-10 * np.abs(g.values))).sum() >= 2  # farther off it is infinite
+    assert (error <= bound * np.abs(s(g.omega)) + DIRECT * np.abs(g.values)).all()
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-12])
-@pytest.mark.parametrize("width", [1.0, 1.01, 1.05, 1.2, 2.0])
+@pytest.mark.parametrize("width", [1.01, 1.05, 1.2, 2.0])
 @two_laws
 def test_a_model_of_a_narrow_span_is_within_the_bound_everywhere(law, width, rtol):
     """A span of a few grid points or none between its ends; far away the errors are of order one."""
     g = direct(jammed(1e-2), law, span=(1e-10, 1e5))
     s = model(jammed(1e-2), rtol, (1.0, width), law)
     error = np.abs(s(g.omega) - g.values) / np.abs(s(g.omega))
+    assert (np.isfinite(s.error(g.omega)) & (error > 1e-10)).sum() >= 3
     assert (error <= s.error(g.omega) + DIRECT).all()
 
 
@@ -279,6 +282,7 @@ def test_the_bounds_on_the_parts_are_relative_to_the_true_ones(law):
     s = model(jammed(1e-2), 1e-3, NARROW, law, "compression")
     for part, bound in zip(("real", "imag"), s.part_errors(g.omega), strict=True):
         ours, exact = getattr(s(g.omega), part), getattr(g.values, part)
+        assert np.isfinite(bound).sum() >= 3
         assert (np.abs(ours - exact) <= bound * np.abs(exact) + DIRECT * np.abs(g.values)).all()
 
 
@@ -310,6 +314,7 @@ def test_a_rattler_does_not_loosen_the_bound(law):
     s = pj.spectrum(packing, SPAN, damping=law, rtol=0.1)
     error = np.abs(s(g.omega) / g.values - 1)
     seen = error > 1e-10
+    assert seen.sum() >= 20
     assert (s.error(g.omega)[seen] <= 100 * error[seen]).all()
 
 
@@ -461,7 +466,7 @@ def test_the_reduced_pair_is_semi_definite(law, strain, pressure):
 @any_law
 def test_relaxations_have_positive_times_and_weights(law, strain, prestress, pressure):
     times, weights = model(jammed(pressure), 1e-6, SPAN, law, strain, prestress).relaxation()
-    assert len(times) == len(weights)
+    assert len(times) == len(weights) > 0
     assert (np.diff(times) >= 0).all()
     assert (times > 0).all()
     assert (weights >= 0).all()
@@ -991,16 +996,12 @@ def test_a_lattice_that_slides_downhill_has_a_modulus(law):
     assert s(g.omega) == pytest.approx(g.values, rel=1e-6)
 
 
-def test_motions_that_nothing_resists_are_refused():
-    """As the direct solve does: rows slide for nothing, without pre-stress and without friction."""
-    for solve in (pj.spectrum, lambda *a, **b: pj.complex_modulus(*a, [1.0], **b)):
-        with pytest.raises(pj.SolverError):
-            solve(
-                square_lattice(3, 4),
-                damping=pj.ContactDamping(beta=0.0),
-                strain="compression",
-                prestress=False,
-            )
+def test_motions_that_nothing_resists_are_held():
+    """Rows slide for nothing, without pre-stress and without friction: the others press as the cell does."""
+    s = pj.spectrum(
+        square_lattice(3, 4), damping=pj.ContactDamping(beta=0.0), strain="compression", prestress=False
+    )
+    assert s(OMEGA) == pytest.approx(0.5 * (1 + 1j * np.array(OMEGA)), rel=1e-12)
 
 
 @two_laws
@@ -1054,10 +1055,10 @@ def test_a_model_from_a_file_answers_as_before(tmp_path):
 
 
 def test_unknown_negative_modes_and_notes_come_back(tmp_path):
-    s = replace(model(sixteen()), negative_modes=None, notes=("one", "two: ω"))
+    s = replace(model(sixteen()), negative_modes=None, zero_modes=None, notes=("one", "two: ω"))
     pj.write_spectrum(s, tmp_path / "model.h5")
     back = pj.read_spectrum(tmp_path / "model.h5")
-    assert back.negative_modes is None
+    assert back.negative_modes is back.zero_modes is None
     assert back.notes == ("one", "two: ω")
 
 

@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from conftest import names
 
 import petscjam as pj
 from petscjam.analysis.viscosity import Viscosity
@@ -336,13 +337,13 @@ BAD_WORDS = [
 
 @pytest.mark.parametrize(("arguments", "named"), BAD + BAD_WORDS, ids=said)
 def test_bad_values(folder, tmp_path, capfd, arguments, named):
-    assert named in refused(capfd, *arguments, folder / "p1.h5", "-o", tmp_path / "out.h5")
+    assert names(refused(capfd, *arguments, folder / "p1.h5", "-o", tmp_path / "out.h5"), named)
     assert not (tmp_path / "out.h5").exists()
 
 
 @pytest.mark.parametrize(("arguments", "named"), BAD, ids=said)
 def test_bad_values_are_said_once_for_many_packings(folder, tmp_path, capfd, arguments, named):
-    assert named in refused(capfd, *arguments, folder, "-o", tmp_path / "out.h5")
+    assert names(refused(capfd, *arguments, folder, "-o", tmp_path / "out.h5"), named)
 
 
 def test_a_folder_without_packings(tmp_path, capfd):

@@ -370,7 +370,9 @@ class Average:
     count : int
         Packings that were averaged.
     excluded : tuple of str
-        Packings that were not, being unstable.
+        Packings that were not, not being stable.
+    unbalanced : tuple of str
+        Packings that were averaged and are not in balance: without pre-stress that makes none unstable.
     """
 
     omega: Array
@@ -379,6 +381,7 @@ class Average:
     error: NDArray[np.complex128]
     count: int
     excluded: tuple[str, ...] = ()
+    unbalanced: tuple[str, ...] = ()
 
 
 def average(
@@ -386,7 +389,7 @@ def average(
 ) -> Average:
     """Average G* over ``results`` of one law, at ``omegas`` or, left out, on their common grid.
 
-    Packings that are unstable are left out, unless ``unstable``; ``excluded`` names them.
+    Packings that are not stable are left out, unless ``unstable``; ``excluded`` names them.
 
     Raises
     ------
@@ -395,7 +398,9 @@ def average(
     """
     kept = {name: g for name, g in results.items() if unstable or g.stable}
     if not kept:
-        raise InputError(f"average: none of {len(results)} packings is stable")
+        name, other = next(iter(results.items()), ("", None))
+        reason = f"; {name}: {other.state}" if other else ""
+        raise InputError(f"average: none of {len(results)} packings is stable{reason}")
     if len({(g.damping, g.strain, g.prestress, g.packing["potential"]) for g in kept.values()}) > 1:
         raise InputError("average: the results have different laws, strains, pre-stress or potentials")
     first = next(iter(kept.values()))
@@ -406,7 +411,11 @@ def average(
     scatter = np.full(len(omega), np.nan + 1j * np.nan)
     if several:
         scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
-    return Average(omega, values.mean(0), scatter, scatter / np.sqrt(n), n, tuple(set(results) - set(kept)))
+    return Average(
+        omega, values.mean(0), scatter, scatter / np.sqrt(n), n,
+        excluded=tuple(name for name in results if name not in kept),
+        unbalanced=tuple(name for name, g in kept.items() if g.packing.get("balanced") is False),
+    )  # fmt: skip
 
 
 def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -422,7 +431,8 @@ def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool 
     for values in (mean.mean, mean.scatter, mean.error):
         columns += [values.real, values.imag]
     lines = [
-        f"# mean of {mean.count} packings; left out as unstable: {', '.join(mean.excluded) or 'none'}",
+        f"# mean of {mean.count} packings; left out as not stable: {', '.join(mean.excluded) or 'none'}",
+        *[f"# not in balance: {', '.join(mean.unbalanced)}"] * bool(mean.unbalanced),
         "# omega in 1/tau1, moduli in units of the potential; scatter: standard deviation; error: of mean",
         "omega,G_storage,G_loss,scatter_storage,scatter_loss,error_storage,error_loss",
         *(",".join(f"{x:.16e}" for x in row) for row in zip(*columns, strict=True)),

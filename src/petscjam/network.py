@@ -6,13 +6,16 @@ Axes: c contact, i disk, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array, Integers
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
+
+NO_MODULUS = 1e-12  # of the affine modulus, up to which one is zero: rounding leaves 1e-31 to 1e-16
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +123,33 @@ class ContactNetwork:
         np.add.at(net, self.i, -pull)
         return net
 
+    @cached_property
+    def net_force(self) -> float:
+        """Largest net force on a disk, relative to p·d."""
+        largest = float(np.linalg.norm(self.residual_force, axis=1).max())
+        return largest / (self.pressure * self.mean_diameter) if largest else 0.0
+
+    @property
+    def rounding_force(self) -> float:
+        """Force that positions in double precision leave on a disk, 4·ε·k·L."""
+        return float(4 * np.finfo(float).eps * self.stiffness.max(initial=0.0) * self.area**0.5)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether no net force exceeds max(1e-10·p·d, 4·ε·k·L)."""
+        unit = self.pressure * self.mean_diameter
+        return self.net_force * unit <= max(1e-10 * unit, self.rounding_force)
+
+    @property
+    def affine_modulus(self) -> float:
+        """Shear modulus if no disk left the affine motion, without pre-stress, mean of all directions."""
+        return float(self.stiffness @ (self.r**2).sum(1)) / (8 * self.area)
+
+    @property
+    def rounding_modulus(self) -> float:
+        """Modulus up to which one is zero: 1e-12 of the affine one."""
+        return NO_MODULUS * self.affine_modulus
+
     def only(self, which: NDArray[np.bool_]) -> ContactNetwork:
         """Keep the contacts ``which`` (C,); the disks and the backbone stay what they are."""
         part = {name: getattr(self, name)[which] for name in ("i", "j", "r", "force", "stiffness")}
@@ -151,6 +181,12 @@ class ContactNetwork:
         n = len(self.radii)
         graph = coo_matrix((np.ones(len(self)), (self.i, self.j)), shape=(n, n))
         return int(connected_components(graph, directed=False)[0] - self.rattlers)
+
+
+def rounded(values: ArrayLike, rounding: float | Array) -> Array:
+    """Return ``values``, 0 where they do not exceed ``rounding``."""
+    known = np.asarray(values, dtype=float)
+    return np.where(abs(known) <= rounding, 0.0, known)
 
 
 def backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:

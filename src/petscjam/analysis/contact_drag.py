@@ -22,6 +22,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping, viscous_form
 from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import Field, strain_mode
+from petscjam.network import rounded
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
 from petscjam.parallel.memory import check_memory
@@ -136,11 +137,12 @@ def self_consistent_drag(
     if not found["converged"].all():
         lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
         problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
-    problem.notes += unstable(found["values"], problem.negative_modes)
+    lowest = rounded(found["values"].real, problem.rounding[0]).min()
+    problem.notes += unstable(problem, float(lowest))
     return NonlinearModulus(
         omega=omega, stress=float(stress), alpha=float(alpha), form="per contact", **found,
         errors=np.full(len(omega), np.nan), strain=strain, prestress=prestress,
-        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+        packing=describe(problem, name), notes=tuple(problem.notes),
     )  # fmt: skip
 
 

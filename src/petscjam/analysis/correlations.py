@@ -26,7 +26,7 @@ from petscjam.parallel.comm import resolve
 from petscjam.progress import Report
 from petscjam.response.problem import agree
 from petscjam.response.reduced import spectrum
-from petscjam.response.result import frequencies
+from petscjam.response.result import Judged, frequencies
 from petscjam.response.spectrum import Spectrum
 
 ALONG = 1e-9  # how far a lattice vector may point out of x, relative to its length
@@ -52,7 +52,7 @@ class CorrelationLength(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Correlations:
+class Correlations(Judged):
     """C(δ) of one packing in simple shear. Lengths are in the unit of the packing, time in τ1.
 
     Attributes
@@ -75,8 +75,8 @@ class Correlations:
         Largest height of a lane, and of a step in δ.
     G0 : float
         Modulus at ω → 0.
-    negative_modes : int or None
-        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    negative_modes, zero_modes : int or None
+        Such eigenvalues of K on the pinned backbone; None where a note says why.
     damping : DampingLaw
     prestress : bool
     packing : dict
@@ -96,15 +96,11 @@ class Correlations:
     bin: float
     G0: float
     negative_modes: int | None
+    zero_modes: int | None
     damping: DampingLaw
     prestress: bool
     packing: dict[str, Any]
     notes: tuple[str, ...] = ()
-
-    @property
-    def stable(self) -> bool:
-        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
-        return self.G0 > 0 and self.negative_modes == 0
 
     @property
     def length(self) -> Array:
@@ -182,8 +178,8 @@ def correlations_of(
     return Correlations(
         omega=omega, delta=delta, real=C[0], imaginary=C[1], pairs=pairs, G=model(omega),
         errors=model.error(omega), L=_Lanes.of(packing, width, bin).L, width=float(width), bin=float(bin),
-        G0=model.G0, negative_modes=model.negative_modes, damping=model.damping, prestress=model.prestress,
-        packing=model.packing, notes=model.notes,
+        G0=model.G0, negative_modes=model.negative_modes, zero_modes=model.zero_modes,
+        damping=model.damping, prestress=model.prestress, packing=model.packing, notes=model.notes,
     )  # fmt: skip
 
 
@@ -252,12 +248,15 @@ def minimum(delta: ArrayLike, C: ArrayLike) -> tuple[float, float]:
     return float(np.asarray(delta)[k]), float(np.asarray(C)[k])
 
 
-def correlation_length(results: Mapping[str, Correlations], part: str = "real") -> CorrelationLength:
+def correlation_length(
+    results: Mapping[str, Correlations], part: str = "real", *, unstable: bool = False
+) -> CorrelationLength:
     """Return where the mean of C over several packings crosses zero, with its jackknife error.
 
-    The packings are alike in size, pressure and law; unstable ones are left out. Their cells may differ a
-    little, so C is averaged at the same δ/L, and lengths are those of the mean cell. The error is NaN for a
-    single packing. ``part`` is ``real`` (peak stress) or ``imaginary`` (zero stress).
+    The packings are alike in size, pressure and law; those that are not stable are left out, unless
+    ``unstable``. Their cells may differ a little, so C is averaged at the same δ/L, and lengths are those of
+    the mean cell. The error is NaN for a single packing. ``part`` is ``real`` (peak stress) or ``imaginary``
+    (zero stress).
 
     Raises
     ------
@@ -266,7 +265,7 @@ def correlation_length(results: Mapping[str, Correlations], part: str = "real") 
     """
     if part not in ("real", "imaginary"):
         raise InputError(f"part: must be 'real' or 'imaginary', not {part!r}")
-    stable = [c for c in results.values() if c.stable]
+    stable = [c for c in results.values() if unstable or c.stable]
     if not stable or any(not np.array_equal(c.omega, stable[0].omega) for c in stable):
         raise InputError("correlations: a mean needs stable packings, and the same frequencies for all")
     n, L = len(stable), float(np.mean([c.L for c in stable]))

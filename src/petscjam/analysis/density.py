@@ -171,7 +171,7 @@ def density_of_states(
     return DensityOfStates(
         **series(found[:vectors], edge, frequency_grid(edge, moments)),
         moments=found[:vectors], edge=edge, modes=modes, negative_modes=problem.negative_modes,
-        prestress=prestress, packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+        prestress=prestress, packing=describe(problem, name), notes=tuple(problem.notes),
     )  # fmt: skip
 
 
@@ -195,8 +195,13 @@ def highest(network: ContactNetwork) -> float:
 
 
 def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
-    """Return random ±1 on the backbone less its mean, of length 1, as a field (N, 3)."""
-    u = np.random.default_rng([seed, v]).choice([-1.0, 1.0], (len(backbone), 2))
+    """Return random ±1 on the backbone less its mean, of length 1, as a field (N, 3).
+
+    Where few disks all drew the same, a translation, they draw again.
+    """
+    generator, u = np.random.default_rng([seed, v]), np.ones((len(backbone), 2))
+    while not np.ptp(u[backbone], axis=0).any():
+        u = generator.choice([-1.0, 1.0], (len(backbone), 2))
     return projected(u, backbone)
 
 

@@ -182,7 +182,7 @@ def equivalent_drag(
         changes=zeros, tau_changes=zeros, residuals=model.residuals(omega * tau),
         errors=model.error(omega * tau), contact_tau=np.empty((count, 0)),
         strain=model.strain, prestress=model.prestress, packing=model.packing,
-        notes=(*model.notes, *unstable(values, model.negative_modes)),
+        notes=(*model.notes, *unstable(model, float(np.nanmin([*values.real, model.G0])))),
     )  # fmt: skip
 
 
@@ -196,11 +196,10 @@ def _unit(model: Spectrum) -> float:
     return law.unit(model.packing.get("diameter", 1.0))
 
 
-def unstable(values: NDArray[np.complex128], negative_modes: int | None) -> list[str]:
-    """Return a note if the packing is no stable solid: the response to it means nothing."""
-    faults = [f"{negative_modes} negative modes"] * bool(negative_modes) + ["G' < 0"] * bool(
-        (values.real < 0).any()
-    )
+def unstable(soft: Any, lowest: float) -> list[str]:
+    """Return a note if a packing is no solid, by the modes that ``soft`` counts and by the ``lowest`` G′."""
+    faults = [f"{soft.negative_modes} negative modes"] * bool(soft.negative_modes)
+    faults += [f"{soft.zero_modes} zero modes"] * bool(soft.zero_modes) + ["G' ≤ 0"] * (lowest <= 0)
     return [f"unstable: {', '.join(faults)}"] * bool(faults)
 
 

@@ -14,17 +14,19 @@ from numpy.typing import NDArray
 from petscjam.box import Array, Integers
 from petscjam.damping import ContactDamping
 from petscjam.kinematics import contact_rows, strain_mode
+from petscjam.network import rounded
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
 from petscjam.progress import Report
 from petscjam.response.limits import quasistatic
 from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.result import Judged
 
 MOTIONS = ("parallel", "transverse", "nonaffine")
 
 
 @dataclass(frozen=True, eq=False)
-class QuasistaticResponse:
+class QuasistaticResponse(Judged):
     """Motion at ω → 0 of one packing, per unit strain. Units: length d, stress k (BT) or ke/d² (VOT).
 
     Attributes
@@ -43,8 +45,8 @@ class QuasistaticResponse:
         Disks of each contact.
     residual : float
         ‖Ku − f‖/‖f‖ of the solve.
-    negative_modes : int or None
-        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    negative_modes, zero_modes : int or None
+        Such eigenvalues of K on the pinned backbone; None where a note says why.
     strain : str
     prestress : bool
     packing : dict
@@ -63,6 +65,7 @@ class QuasistaticResponse:
     contacts: Integers
     residual: float
     negative_modes: int | None
+    zero_modes: int | None
     strain: str
     prestress: bool
     packing: dict[str, Any]
@@ -70,9 +73,9 @@ class QuasistaticResponse:
     notes: tuple[str, ...] = field(default=())
 
     @property
-    def stable(self) -> bool:
-        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
-        return self.shear_modulus > 0 and self.negative_modes == 0
+    def G0(self) -> float:
+        """The same as ``shear_modulus``."""
+        return self.shear_modulus
 
     def sizes(self, motion: str) -> Array:
         """Return |Δu∥| or |Δu⊥| of every contact or |u_na| of every disk: one of ``MOTIONS``."""
@@ -127,12 +130,14 @@ def quasistatic_response(
     curvature = scale * float(problem.K_backbone.extra[0, 0])
     if progress:
         progress(1.0, f"residual {residual:.0e}")
+    modulus = stretching + slack + curvature + mode.pressure_term * problem.pressure
+    modulus, stretching, slack = rounded([modulus, stretching, slack], problem.rounding[0]).tolist()
     return QuasistaticResponse(
-        shear_modulus=stretching + slack + curvature + mode.pressure_term * problem.pressure,
+        shear_modulus=modulus,
         parallel=parallel, transverse=transverse,
         nonaffine=problem.displacement(q)[network.backbone].real,
         stretching=stretching, pre_stress=slack, disks=np.flatnonzero(network.backbone),
         contacts=np.stack([network.i, network.j], axis=1), residual=residual,
-        negative_modes=problem.negative_modes, strain=strain, prestress=prestress,
-        packing=describe(packing, network, name), geometry=packing, notes=tuple(problem.notes),
+        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain,
+        prestress=prestress, packing=describe(problem, name), geometry=packing, notes=tuple(problem.notes),
     )  # fmt: skip

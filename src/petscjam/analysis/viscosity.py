@@ -12,10 +12,11 @@ from petscjam.parallel.comm import resolve
 from petscjam.progress import Report
 from petscjam.response.limits import zero_frequency
 from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.result import Judged
 
 
 @dataclass(frozen=True, eq=False)
-class Viscosity:
+class Viscosity(Judged):
     """η0 = lim G″/ω of one packing. Units: stress k (BT) or ke/d² (VOT), time τ1.
 
     Attributes
@@ -24,8 +25,8 @@ class Viscosity:
         Viscosity and modulus at ω → 0.
     residual : float
         Largest residual of the solves.
-    negative_modes : int or None
-        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    negative_modes, zero_modes : int or None
+        Such eigenvalues of K on the pinned backbone; None where a note says why.
     damping : DampingLaw
     strain : str
     prestress : bool
@@ -38,16 +39,12 @@ class Viscosity:
     G0: float
     residual: float
     negative_modes: int | None
+    zero_modes: int | None
     damping: DampingLaw
     strain: str
     prestress: bool
     packing: dict[str, Any]
     notes: tuple[str, ...] = ()
-
-    @property
-    def stable(self) -> bool:
-        """Whether G0 > 0 and K has no negative mode; False where that is unknown."""
-        return self.G0 > 0 and self.negative_modes == 0
 
 
 def viscosity(
@@ -79,7 +76,7 @@ def viscosity(
     if progress:
         progress(1.0, f"residual {low.residual:.0e}")
     return Viscosity(
-        eta0=low.eta, G0=low.G, residual=low.residual, negative_modes=problem.negative_modes, damping=law,
-        strain=strain, prestress=prestress, packing=describe(packing, problem.backbone, name),
-        notes=tuple(problem.notes),
+        eta0=low.eta, G0=low.G, residual=low.residual, negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes, damping=law, strain=strain, prestress=prestress,
+        packing=describe(problem, name), notes=tuple(problem.notes),
     )  # fmt: skip

@@ -33,7 +33,6 @@ from petscjam.io.reading import Wanted, digits_of
 from petscjam.io.xyz import read_xyz
 from petscjam.network import ContactNetwork
 from petscjam.packing import h5md
-from petscjam.packing.certify import rounding_force
 from petscjam.packing.packing import Packing
 from petscjam.potential import POTENTIALS
 from petscjam.storage import HDF5_SIGNATURE, naming, open_h5
@@ -161,21 +160,17 @@ def imbalance(packing: Packing) -> str | None:
         If two disks coincide.
     """
     network = ContactNetwork.of(packing)
-    if len(network) == 0:
+    if network.balanced:
         return None
-    force = _largest_force(network)
-    unit = network.pressure * packing.mean_diameter
-    if force <= max(1e-10 * unit, rounding_force(network)):
-        return None
-    size = f"up to {force / unit:.2g} p·d on a disk, {force / network.force.mean():.2g} mean contact forces"
+    share, force = network.net_force, network.net_force * network.pressure * packing.mean_diameter
+    size = f"up to {share:.2g} p·d on a disk, {force / network.force.mean():.2g} mean contact forces"
     return f"{size}; likely cause: {_cause(packing, network, force)}"
 
 
 def _cause(packing: Packing, network: ContactNetwork, force: float) -> str:
     for name in POTENTIALS:
-        other = ContactNetwork.of(replace(packing, potential_name=name))
-        left = _largest_force(other) / (other.pressure * packing.mean_diameter)
-        if left < 1e-3 * force / (network.pressure * packing.mean_diameter):
+        left = ContactNetwork.of(replace(packing, potential_name=name)).net_force
+        if left < 1e-3 * network.net_force:
             return f"the potential: under {name} they balance to {left:.1g} p·d (--potential {name})"
     reach = force / float(network.stiffness.max())
     largest, said = float(abs(packing.positions).max()), str(packing.provenance.get("precision"))
@@ -193,10 +188,6 @@ def _cause(packing: Packing, network: ContactNetwork, force: float) -> str:
     if digits < 8 and 0.1 * last < reach < 3 * last:
         return f"radii of {digits} digits, if these are rounded"
     return f"the disks are not at a minimum of the potential {packing.potential_name}"
-
-
-def _largest_force(network: ContactNetwork) -> float:
-    return float(np.linalg.norm(network.residual_force, axis=1).max())
 
 
 def _digits(values: Array) -> int:

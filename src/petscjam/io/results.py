@@ -57,7 +57,7 @@ OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
 ADDED = {"rounding_only": False}  # what older files lack, and what they mean by it
-DERIVED = ("stable",)  # written for other readers, never read back
+DERIVED = ("stable", "state")  # written for other readers, never read back
 
 
 def group_name(packing: Packing, name: str) -> str:

@@ -153,7 +153,10 @@ def _parameters(source: Spectrum | ComplexModulus, **others: int) -> str:
 
 
 def _setting(source: Spectrum | ComplexModulus) -> str:
-    return f"# {source.strain}, {source.damping}, {'with' if source.prestress else 'without'} pre-stress"
+    setting = f"# {source.strain}, {source.damping}, {'with' if source.prestress else 'without'} pre-stress"
+    force = source.packing.get("net_force", 0.0)
+    balance = f"; net forces on disks reach {force:.2g} p d" * (source.packing.get("balanced") is False)
+    return f"{setting}; {source.state}{balance}"
 
 
 def _moduli(source: Spectrum | ComplexModulus) -> str:

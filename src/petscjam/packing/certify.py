@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.box import Array, Integers
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SIMPLE_SHEAR, Form, StrainMode, elastic_form
-from petscjam.network import ContactNetwork
+from petscjam.network import ContactNetwork, rounded
 from petscjam.packing.packing import Certificate, Packing
 
 EPS = float(np.finfo(float).eps)
@@ -104,6 +104,23 @@ def _count_below(K: csc_array, sigma: float) -> int:
     return pivots_below(K, 1.2 * sigma, abs(sigma))
 
 
+def dependent_rows(K: csc_array) -> Integers:
+    """Return rows that leave a regular matrix when they go: one for each zero mode of a semi-definite ``K``.
+
+    LDLᵀ has a pivot of zero where a row depends on those before it.
+
+    Raises
+    ------
+    SolverError
+        If the zero modes cannot be counted.
+    """
+    size = _diagonal(K.diagonal() ** -0.5)
+    scaled = (size @ K @ size).tocsc()
+    zero = _zero(scaled)
+    count = _count_below(scaled, zero)
+    return np.argsort(pivots(scaled + _diagonal(np.full(K.shape[0], zero)))[0])[:count]
+
+
 def below_all(K: csc_array) -> float:
     """Return a number below all eigenvalues of ``K``, by counts, or by Gershgorin's circles if those fail."""
     shift, lowest = -_zero(K), -1.1 * float(abs(K).sum(0).max())
@@ -125,15 +142,18 @@ def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     SolverError
         If the factorisation fails, or rounds by more than ``room``.
     """
-    from scipy.sparse import dia_array
-
-    shift = dia_array((np.full((1, K.shape[0]), sigma), [0]), shape=K.shape)
-    below, rounding = negative_pivots(K - shift)
+    below, rounding = negative_pivots(K - _diagonal(np.full(K.shape[0], sigma)))
     if rounding > room:
         raise SolverError(
             f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}"
         )
     return below
+
+
+def _diagonal(values: Array) -> Any:
+    from scipy.sparse import dia_array
+
+    return dia_array((values[None], [0]), shape=(len(values), len(values)))
 
 
 def negative_pivots(A: csc_array) -> tuple[int, float]:
@@ -144,10 +164,22 @@ def negative_pivots(A: csc_array) -> tuple[int, float]:
     SolverError
         If the factorisation fails.
     """
+    found, rounding = pivots(A)
+    return int((found < 0).sum()), rounding
+
+
+def pivots(A: csc_array) -> tuple[Array, float]:
+    """Return the pivot D of each row in LDLᵀ of ``A``, and a bound on the norm of what it rounds.
+
+    Raises
+    ------
+    SolverError
+        If the factorisation fails.
+    """
     from scipy.sparse.linalg import splu
 
     if A.shape[0] == 0:  # one disk, and its images
-        return 0, 0.0
+        return np.empty(0), 0.0
     try:
         lu = splu(
             A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -157,15 +189,10 @@ def negative_pivots(A: csc_array) -> tuple[int, float]:
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("the factorisation of K exchanged rows; its pivots do not count modes")
     L, U = lu.L, lu.U
-    negative = int((U.diagonal() < 0).sum())
+    found: Array = U.diagonal()[lu.perm_c]
     for factor in (L, U):
         np.abs(factor.data, out=factor.data)
-    return negative, EPS * float((L @ (U @ np.ones(A.shape[0]))).max())
-
-
-def rounding_force(network: ContactNetwork) -> float:
-    """Force that positions in double precision leave on a disk, 4·ε·k·L."""
-    return 4 * EPS * float(network.stiffness.max(initial=0.0)) * network.area**0.5
+    return found, EPS * float((L @ (U @ np.ones(A.shape[0]))).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,8 +332,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
     pressure, diameter = network.pressure, packing.mean_diameter
     if not pressure > 0:
         raise InputError("packing: no contact bears a force; it is not jammed")
-    floor = rounding_force(network)
-    force = float(np.linalg.norm(network.residual_force, axis=1).max())
+    floor = network.rounding_force
     anisotropy = float(abs(network.stress - pressure * np.eye(2)).max())
     miss = 0.0 if target_pressure is None else abs(pressure - target_pressure)
     found = _modes(network, K)
@@ -317,14 +343,15 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
         way_down = Instability(_on_all(found.vectors[0].reshape(-1, 2), network), np.zeros((2, 2)))
     elif sound:
         C, u = elastic_tensor(network)
-        shear = softest_shear(C)
+        shear = float(rounded(softest_shear(C), network.rounding_modulus))
         if stabilised:
-            curvature, strain = _softest_cell(C, pressure)
+            lowest, strain = _softest_cell(C, pressure)
+            curvature = float(rounded(lowest, network.rounding_modulus))
             sound = curvature > 0 and shear > 0 and anisotropy <= max(1e-9 * pressure, floor / diameter)
             if curvature <= 0:
                 way_down = Instability(_on_all(u @ strain, network), strain.reshape(2, 2))
     certificate = Certificate(
-        max_force=force / (pressure * diameter),
+        max_force=network.net_force,
         rattlers=network.rattlers,
         contacts=len(network.without_rattlers()),
         Z=network.Z,
@@ -338,7 +365,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
         shear_modulus=shear,
         proved=bool(
             sound
-            and force <= max(1e-10 * pressure * diameter, floor)
+            and network.balanced
             and miss <= max(1e-9 * pressure, floor / diameter)
             and (found.values > 10 * found.residuals).all()
         ),

@@ -15,7 +15,7 @@ import numpy as np
 from petscjam.box import Array, Box
 from petscjam.errors import InputError, SolverError, shown
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import Instability, judge, rounding_force
+from petscjam.packing.certify import Instability, judge
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
 from petscjam.packing.newton import descend, first_closeness, near
 from petscjam.packing.packing import Packing
@@ -139,7 +139,7 @@ def relax_packing(
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
     book = _LogBook(budget, progress)
     if pressure is None:
-        book.least = DIGITS * rounding_force(ContactNetwork.of(packing)) / d
+        book.least = DIGITS * ContactNetwork.of(packing).rounding_force / d
     return _relaxed(packing, pressure, shear_stabilised, method, threads, book)
 
 
@@ -217,7 +217,7 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
     The floor is what positions of double precision leave; half of it is out of reach for the worst of many
     disks.
     """
-    floor = 0.8 * rounding_force(ContactNetwork.of(h.at(z)))
+    floor = 0.8 * ContactNetwork.of(h.at(z)).rounding_force
     error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
     return max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error
 

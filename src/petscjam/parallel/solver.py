@@ -92,6 +92,12 @@ class DirectSolver:
             return x.array.copy(), float(residual)
 
     @property
+    def weakness(self) -> str:
+        """What makes a residual large."""
+        compressed = "the factor is compressed too far, or " if self._block_low_rank else ""
+        return f"{compressed}there are motions that nothing resists"
+
+    @property
     def memory(self) -> float:
         """Memory of the factors on the rank that needs most, MB (MUMPS INFOG(21)); 0 without MUMPS."""
         return float(self._factor().getMumpsInfog(21)) if self._mumps() else 0.0

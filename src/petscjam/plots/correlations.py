@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.correlations import Correlations, correlation_length
-from petscjam.errors import InputError
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import given, save, solids
 
 CURVES = 7  # at most, in a panel
 
@@ -21,24 +20,23 @@ CURVES = 7  # at most, in a panel
 def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[str]) -> None:
     """Draw C against δ/L, solid at peak stress and dashed at zero stress, and the correlation length l(ω).
 
-    Packings of one size and pressure under one law are averaged, unstable ones left out. C has a panel for
-    each law, and shows the first such mean; l is shown for all of them, filled with pre-stress.
+    Packings of one size and pressure under one law are averaged, those that are not stable left out, unless
+    none is. C has a panel for each law, and shows the first such mean; l is shown for all of them, filled
+    with pre-stress.
 
     Raises
     ------
     InputError
-        If no packing is stable, or the figure cannot be written.
+        If the figure cannot be written.
     """
     from matplotlib.figure import Figure
 
     alike: dict[Any, dict[str, Correlations]] = {}
-    for name, c in results.items():
-        if c.stable:
-            p = float(f"{c.packing['pressure']:.1e}")
-            kind = str(c.damping), c.prestress, c.packing["particles"], p, tuple(c.omega)
-            alike.setdefault(kind, {})[name] = c
-    if not alike:
-        raise InputError("correlations: no packing is stable")
+    kept, title = solids(results)
+    for name, c in kept.items():
+        p = float(f"{c.packing['pressure']:.1e}")
+        kind = str(c.damping), c.prestress, c.packing["particles"], p, tuple(c.omega)
+        alike.setdefault(kind, {})[name] = c
     first = {kind[0]: (kind, some) for kind, some in reversed(alike.items())}
     figure = Figure(figsize=(4.6 * len(first) + 5.8, 4.6), layout="constrained")
     panels = figure.subplots(1, 1 + len(first), width_ratios=[4.6] * len(first) + [5.8])
@@ -47,9 +45,8 @@ def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[
         law, prestress, n, p, _ = kind
         axes.set_title(f"{law}, {given(prestress)}\nN = {n}, p = {p:g}, {len(some)} packings", fontsize=9)
     _draw_lengths(panels[-1], alike)
-    left_out = sum(not c.stable for c in results.values())
-    figure.suptitle(f"{len(results)} results, {left_out} unstable left out", fontsize=10)
-    save(figure, path)
+    figure.suptitle(title, fontsize=10)
+    save(figure, path, results)
 
 
 def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
@@ -57,7 +54,7 @@ def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
     from matplotlib import colormaps
 
     for part, style in (("real", "-"), ("imaginary", "--")):
-        mean = correlation_length(some, part)
+        mean = correlation_length(some, part, unstable=True)
         rising = np.argsort(mean.omega)
         shown = rising[np.unique(np.linspace(0, len(rising) - 1, CURVES).round().astype(int))]
         for k, w in enumerate(shown):
@@ -72,7 +69,7 @@ def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
 def _draw_lengths(axes: Any, alike: Mapping[Any, Mapping[str, Correlations]]) -> None:
     """Draw where the mean of C at peak stress crosses zero, with its error."""
     for (law, prestress, n, p, _), some in alike.items():
-        mean = correlation_length(some)
+        mean = correlation_length(some, unstable=True)
         rising = np.argsort(mean.omega)
         axes.errorbar(mean.omega[rising], mean.length[rising] / mean.L,
                       np.nan_to_num(mean.error[rising]) / mean.L,

@@ -46,4 +46,4 @@ def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[st
     axes.set(xlim=(blind / 3, None), ylim=(3e-3 * top, 2 * top),
              xlabel=r"frequency $\omega$, unit masses", ylabel=r"$D(\omega)$")  # fmt: skip
     axes.legend(loc="lower right", bbox_to_anchor=(0.88, 0), frameon=False, fontsize=8)
-    save(figure, path)
+    save(figure, path, results)

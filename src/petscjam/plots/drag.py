@@ -53,7 +53,7 @@ def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]
         f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}; {first.strain}; "
         f"{'with' if first.prestress else 'without'} pre-stress", fontsize=10,
     )  # fmt: skip
-    save(figure, path)
+    save(figure, path, results)
 
 
 def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:

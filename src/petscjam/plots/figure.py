@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -20,8 +20,12 @@ if TYPE_CHECKING:
 STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
 
-def save(figure: Figure, path: str | PathLike[str], dpi: float = 150) -> None:
+def save(
+    figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] | None = None, dpi: float = 150
+) -> None:
     """Write ``figure`` in the format its name ends in (PNG without one), wholly or not at all.
+
+    Below it stands how many of ``results`` are of packings that are not in balance.
 
     Raises
     ------
@@ -32,9 +36,26 @@ def save(figure: Figure, path: str | PathLike[str], dpi: float = 150) -> None:
     known = figure.canvas.get_supported_filetypes()
     if kind not in known:
         raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
+    forces = [r.packing["net_force"] for r in (results or {}).values() if r.packing.get("balanced") is False]
+    if forces:
+        count = f"{len(forces)} of {len(results)} results: " if results and len(results) > 1 else ""
+        figure.supxlabel(
+            f"{count}not in balance: net forces on disks reach {max(forces):.2g} p·d", color=UNSTABLE
+        )
     picture = BytesIO()
     figure.savefig(picture, dpi=dpi, format=kind)
     write_atomically(path, picture.getvalue())
+
+
+def solids(results: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """Return the results of stable packings, or all where none is, and a title that tells which."""
+    stable = {name: r for name, r in results.items() if r.stable}
+    title = f"{len(results)} result{'s' * (len(results) != 1)}"
+    if not stable:
+        states = sorted({r.state for r in results.values()})
+        return dict(results), f"{title}, {states[0] if len(states) == 1 else 'none of stable packings'}"
+    left_out = len(results) - len(stable)
+    return stable, title + f", {left_out} not stable, left out" * (left_out > 0)
 
 
 def given(prestress: bool) -> str:

@@ -42,7 +42,7 @@ def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
     left.suptitle(f"{name}: {title}" if len(results) > 1 else title, fontsize=10)
     panels = right.subplots(3, 1)
     _draw_spectra(panels, results)
-    save(figure, path)
+    save(figure, path, results)
 
 
 def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLike[str]) -> None:
@@ -69,7 +69,7 @@ def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLik
         axes.loglog(r.times, r.weights, "o", ms=3, label=name if len(results) <= NAMED else None)
     axes.set(xlabel=r"relaxation time $\tau/\tau_1$", ylabel="weight (units of $k$)")
     axes.legend(frameon=False, fontsize=7)
-    save(figure, path)
+    save(figure, path, results)
 
 
 def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:

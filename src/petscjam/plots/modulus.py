@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from petscjam.ensemble import average
+from petscjam.errors import SolverError
 from petscjam.kinematics import strain_mode
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
-from petscjam.report import state
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 
@@ -45,7 +45,7 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
         _draw_time(panels["time"], model)
     else:
         _draw_moduli(halves[0].subplots(), results)
-    save(figure, path)
+    save(figure, path, results)
 
 
 def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
@@ -94,7 +94,7 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     title += f"; {first.strain}"
     axes.set_title(title, fontsize=10)
     if bad:
-        text = state(bad[0]) if one else f"{len(bad)} of {count} packings not stable"
+        text = bad[0].state if one else f"{len(bad)} of {count} packings not stable"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
 
 
@@ -138,11 +138,15 @@ def _draw_errors(axes: Any, model: Spectrum) -> None:
 def _draw_time(axes: Any, model: Spectrum) -> None:
     """Draw the relaxation modulus G(t) and the creep compliance J(t)."""
     t = np.geomspace(1 / model.span[1], 1 / model.span[0], 401)
-    G, J = model.G(t), model.J(t)
+    axes.set_title("after a step of strain, of stress", fontsize=9)
+    try:
+        G, J = model.G(t), model.J(t)
+    except SolverError as error:
+        axes.text(0.5, 0.5, str(error), transform=axes.transAxes, ha="center", wrap=True, color=UNSTABLE)
+        return
     axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$, units of $k$")
     axes.loglog(t, np.where(J > 0, J, np.nan), color=LOSS, lw=1.2, label="$J(t)$, units of $1/k$")
     axes.set(xlabel=r"$t/\tau_1$")
-    axes.set_title("after a step of strain, of stress", fontsize=9)
     axes.legend(frameon=False, fontsize=8)
 
 

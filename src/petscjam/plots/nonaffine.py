@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.plots.figure import LOSS, STORAGE, errors, given, pressure_colours, save
+from petscjam.plots.figure import LOSS, STORAGE, errors, given, pressure_colours, save, solids
 
 LABELS = {
     "parallel": r"$|\Delta u^\parallel|/\gamma$",
@@ -26,7 +26,7 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     """Draw the distributions, medians and means against pressure, and the motion of the first packing.
 
     Distributions pool the packings of one pressure. Filled symbols and solid lines are with pre-stress, open
-    ones and dashed lines without. Unstable packings are left out.
+    ones and dashed lines without. Packings that are not stable are left out, unless none is.
 
     Raises
     ------
@@ -37,17 +37,14 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
 
     figure = Figure(figsize=(12.5, 8), layout="constrained")
     panels = figure.subplot_mosaic([["parallel", "transverse", "nonaffine"], ["scaling", "scaling", "field"]])
-    stable = [r for r in results.values() if r.stable]
+    kept, title = solids(results)
     colours = pressure_colours([r.packing["pressure"] for r in results.values()])
     for motion in MOTIONS:
-        draw_distribution(panels[motion], stable, motion, colours)
-    _draw_scaling(panels["scaling"], stable)
+        draw_distribution(panels[motion], list(kept.values()), motion, colours)
+    _draw_scaling(panels["scaling"], list(kept.values()))
     draw_field(panels["field"], next(iter(results.values())))
-    kept = f"{len(results)} result{'' if len(results) == 1 else 's'}"
-    if len(stable) < len(results):
-        kept += f", {len(results) - len(stable)} unstable left out"
-    figure.suptitle(f"Quasi-static response, {next(iter(results.values())).strain}: {kept}", fontsize=11)
-    save(figure, path)
+    figure.suptitle(f"Quasi-static response, {next(iter(results.values())).strain}: {title}", fontsize=11)
+    save(figure, path, results)
 
 
 def _groups(results: list[QuasistaticResponse]) -> dict[tuple[float, bool], list[QuasistaticResponse]]:
@@ -61,8 +58,10 @@ def _groups(results: list[QuasistaticResponse]) -> dict[tuple[float, bool], list
 def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
     """Draw the probability density of the logarithm, so that tails of any width show."""
     for (pressure, prestress), some in _groups(results).items():
-        values = np.log10(np.concatenate([r.sizes(motion) for r in some]))
-        density, edges = np.histogram(values, bins=60, density=True)
+        sizes = np.concatenate([r.sizes(motion) for r in some])
+        if not sizes.any():
+            continue
+        density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
         middle = (edges[1:] + edges[:-1]) / 2
         axes.semilogx(10**middle, density, color=colours(pressure), ls="-" if prestress else "--", lw=1.2,
                       label=f"p = {pressure:.2g}")  # fmt: skip
@@ -97,7 +96,7 @@ def draw_field(axes: Any, r: QuasistaticResponse) -> None:
     box = r.geometry.box
     x = box.wrap(r.geometry.positions)[r.disks]
     spacing = np.sqrt(box.area / len(r.geometry))
-    size = np.sqrt((r.nonaffine**2).sum(1).mean())
+    size = np.sqrt((r.nonaffine**2).sum(1).mean()) or 1.0
     axes.quiver(*x.T, *(r.nonaffine * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
                 width=0.0035, color=STORAGE)  # fmt: skip
     outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ box.cell

@@ -113,6 +113,8 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
     verdict, colour = VERDICTS[packing.certificate.proved]
+    if not network.balanced:
+        verdict, colour = f"not in balance: net forces reach {network.net_force:.2g} p·d", UNSTABLE
     count = network.rattlers
     axes.set_title(
         f"{len(packing)} disks, $\\phi$ = {packing.phi:.5f}, p = {network.pressure:.3g}, "

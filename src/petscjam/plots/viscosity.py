@@ -8,11 +8,11 @@ from os import PathLike
 import numpy as np
 
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.plots.figure import errors, given, save
+from petscjam.plots.figure import errors, given, save, solids
 
 
 def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) -> None:
-    """Draw the mean of η0 over stable packings, with its standard error, against pressure.
+    """Draw the mean of η0 over stable packings (over all where none is), with its standard error.
 
     Raises
     ------
@@ -24,17 +24,16 @@ def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     axes = figure.subplots()
     curves: dict[tuple[str, int, bool], dict[float, list[float]]] = {}
-    for r in results.values():
-        if r.stable:
-            curve = curves.setdefault((str(r.damping), r.packing["particles"], r.prestress), {})
-            curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
+    kept, title = solids(results)
+    for r in kept.values():
+        curve = curves.setdefault((str(r.damping), r.packing["particles"], r.prestress), {})
+        curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
     for (law, n, prestress), curve in sorted(curves.items()):
         p = np.array(sorted(curve))
         axes.errorbar(p, *errors([curve[x] for x in p]), fmt="o-" if prestress else "s--",
                       mfc=None if prestress else "white", ms=5, lw=1,
                       label=f"{law}, N = {n}, {given(prestress)}")  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
-    left_out = sum(not r.stable for r in results.values())
-    axes.set_title(f"{len(results)} results, {left_out} unstable left out", fontsize=10)
+    axes.set_title(title, fontsize=10)
     axes.legend(frameon=False, fontsize=8)
-    save(figure, path)
+    save(figure, path, results)

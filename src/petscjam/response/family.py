@@ -19,6 +19,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping, viscous_form
 from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
+from petscjam.network import rounded
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve
 from petscjam.parallel.memory import check_memory
@@ -55,6 +56,8 @@ class Family:
         Of |ΔG*|/|G*|, over the range and the span.
     G0 : (float, float)
         The limit of G* at ω → 0, solved for if the span ends before its plateau, and the residual.
+    rounding : (2,)
+        Modulus and viscosity up to which a limit is zero.
     """
 
     betas: tuple[float, float]
@@ -66,6 +69,7 @@ class Family:
     affine: tuple[float, float]
     rotations: bool
     G0: tuple[float, float]
+    rounding: Array
 
     def __call__(self, beta: float) -> Spectrum:
         """Return the spectrum at ``beta``.
@@ -92,6 +96,7 @@ class Family:
             notes = (*notes, f"{what} lie beyond the span")
         if far[0]:
             limits[0, 0], limit_errors[0, 0] = self.G0
+        limits = rounded(limits, self.rounding)
         return replace(model, limits=limits, limit_errors=limit_errors, notes=notes)
 
 
@@ -176,15 +181,16 @@ def beta_family(
         gain_errors=np.zeros(len(nodes)), estimate=estimate, limits=np.full((2, 2), np.nan),
         limit_errors=np.full((2, 2), np.nan), forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
         affine=problem.affine, area=packing.box.area, pressure=problem.pressure, definite=False,
-        negative_modes=problem.negative_modes, strain=strain,
+        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain,
         damping=ContactDamping(1.0, rotations), prestress=prestress,
-        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+        packing=describe(problem, name), notes=tuple(problem.notes),
         performance=performance, motions=fields, geometry=packing if displacements else None,
     )  # fmt: skip
     low, high = betas
     family = Family(
-        (float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations, (np.nan, np.nan)
-    )
+        (float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations, (np.nan, np.nan),
+        problem.rounding,
+    )  # fmt: skip
     if comm.bcast(any(np.isnan(family(beta).G0) for beta in betas)):
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0")
         family = replace(family, G0=(found.G, found.residual))

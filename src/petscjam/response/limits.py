@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
 from petscjam.kinematics import Field, Motion
+from petscjam.network import rounded
 from petscjam.parallel.comm import total
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import free_motions, sees
@@ -22,6 +23,7 @@ from petscjam.response.problem import LinearProblem
 
 LARGEST_RESIDUAL = 1e-8
 SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
+NO_FRICTION = 1e-12  # of the largest one, below which a motion has none
 
 
 class Limit(NamedTuple):
@@ -54,8 +56,8 @@ def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
     SolverError
         If K is singular on the pinned backbone.
     """
-    if problem.floppy_modes != 0:
-        count = "an unknown number of" if problem.floppy_modes is None else problem.floppy_modes
+    if problem.zero_modes != 0:
+        count = "an unknown number of" if problem.zero_modes is None else problem.zero_modes
         raise SolverError(f"K has {count} floppy modes on the backbone")
     dofs = problem.number(problem.pinned_backbone)
     fields, worst = [], 0.0
@@ -81,7 +83,7 @@ def zero_frequency(problem: LinearProblem) -> Limit:
     G0 = problem.product(problem.K_backbone, still, still).real
     moving, slack = relax_dissipation(problem, still)
     eta = problem.product(problem.B, moving, moving).real
-    return Limit(problem.modulus(G0).real, problem.viscosity(eta), max(residual, slack))
+    return _limit(problem, G0, eta, max(residual, slack))
 
 
 def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> Limit:
@@ -89,10 +91,29 @@ def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSol
     solver.factor(pencil.combine(0, 1))
     x, residual = solver.solve(-pencil.b[:, 0])
     _demand(residual, "B is singular (motions without friction)")
+    if _singular(problem, pencil, solver):
+        raise SolverError("B is singular: there are motions without friction")
     motion: Motion = (pencil.dofs.gather(x, problem.comm), _unit(problem))
     G = problem.product(problem.K, motion, motion).real
     eta = problem.product(problem.B, motion, motion).real
-    return Limit(problem.modulus(G).real, problem.viscosity(eta), residual)
+    return _limit(problem, G, eta, residual)
+
+
+def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> bool:
+    """Tell whether what the factor misses of a random motion x in B⁻¹(Bx) is a motion without friction."""
+    x, y = pencil.vectors
+
+    def resisted(motion: Field) -> tuple[Field, float]:
+        x.array[:] = motion
+        pencil.B.mult(x, y)
+        force: Field = y.array.copy()
+        return force, float(total(problem.comm, np.vdot(force, force).real)) ** 0.5
+
+    field = np.random.default_rng(0).standard_normal((len(problem.packing), 3)) + 0j
+    motion = pencil.dofs.scatter(field, problem.comm.rank)
+    missed = solver.solve(resisted(motion)[0])[0] - motion
+    size = total(problem.comm, np.vdot(missed, missed).real) ** 0.5
+    return resisted(missed)[1] < NO_FRICTION * total(problem.comm, problem.B.diagonal()).max() * size
 
 
 def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
@@ -151,6 +172,12 @@ def _minimise(
 
 def _unit(problem: LinearProblem) -> NDArray:
     return np.eye(len(problem.strains))[0]
+
+
+def _limit(problem: LinearProblem, energy: float, dissipation: float, residual: float) -> Limit:
+    limits = problem.modulus(energy).real, problem.viscosity(dissipation)
+    G, eta = rounded(limits, problem.rounding)
+    return Limit(float(G), float(eta), residual)
 
 
 def _demand(residual: float, reason: str) -> None:

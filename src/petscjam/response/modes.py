@@ -210,7 +210,7 @@ def lowest_modes(
         participation=square.sum(1) ** 2 / (square.shape[1] * (square**2).sum(1)), floppiness=floppiness,
         amplitudes=amplitudes, softening=-mode.scale * amplitudes * force / packing.box.area,
         G_affine=problem.modulus(problem.affine[0]).real, strain=strain, prestress=prestress,
-        packing=describe(packing, network, name), geometry=packing,
+        packing=describe(problem, name), geometry=packing,
         notes=(*problem.notes, *search.notes), performance=comm.bcast(performance),
     )  # fmt: skip
 

@@ -6,6 +6,7 @@ Axes: w frequency, i disk, x Cartesian.
 from __future__ import annotations
 
 import resource
+import warnings
 from typing import Any
 
 import numpy as np
@@ -109,9 +110,9 @@ def complex_modulus(
         errors=np.full(len(omega), np.nan), part_errors=np.full((2, len(omega)), np.nan),
         G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
         limit_residuals=np.array([low.residual, high.residual]),
-        negative_modes=problem.negative_modes,
+        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes,
         strain=strain, damping=str(problem.law), prestress=prestress,
-        packing=describe(packing, problem.backbone, name), notes=tuple(problem.notes),
+        packing=describe(problem, name), notes=tuple(problem.notes),
         field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
         performance={
             "factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
@@ -136,6 +137,8 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = N
     # which law is immaterial: only K enters
     problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, comm)
     fields, _ = quasistatic(problem)
+    for note in problem.notes:
+        warnings.warn(f"elastic constants: {note}", stacklevel=2)
     motions = list(zip(fields, np.eye(3), strict=True))
     C = [[problem.product(problem.K_backbone, a, b).real for b in motions] for a in motions]
     return np.array(C) / packing.box.area

@@ -58,8 +58,7 @@ class Motions:
         """
         x, residual = self.solver.solve(rhs)
         if not residual < LARGEST_RESIDUAL:
-            reason = "motions that nothing resists, or a factor that is compressed too far"
-            raise SolverError(f"a solve has residual {residual:.1e}: {reason}")
+            raise SolverError(f"a solve has residual {residual:.1e}: {self.solver.weakness}")
         self.residual = max(self.residual, residual)
         for e, Be, eBe in self._free:
             x = x - e * ((self.dot(Be, x) + self.dot(e, np.zeros_like(e) + drag)) / eBe)

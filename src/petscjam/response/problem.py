@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from petscjam.box import Array, Integers
 from petscjam.damping import DampingLaw, viscous_form
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
-from petscjam.packing.certify import modes, negative_modes
-from petscjam.packing.packing import Certificate, Packing
+from petscjam.packing.certify import dependent_rows, matrix, modes
+from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.memory import give_back_memory
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
+
+NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
 
 class LinearProblem:
@@ -38,6 +41,9 @@ class LinearProblem:
         self.prestress = prestress
         self.notes: list[str] = []
         whole = ContactNetwork.of(packing)
+        self.balanced, self.net_force = whole.balanced, whole.net_force
+        if not self.balanced:
+            self.notes.append(NOT_BALANCED.format(self.net_force))
         self.backbone = whole.without_rattlers()
         self.network = whole if law.body else self.backbone
         self.pressure = prestress * self.network.pressure
@@ -51,6 +57,8 @@ class LinearProblem:
         self.K, self.B = forms(self.network)
         self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)
         self.active: Mask = unknowns(self.K, self.B, self.network, comm)
+        if not (prestress or law.body) and self.zero_modes:
+            self.active &= ~self._unresisted()
         self.pinned_backbone: Mask = self.backbone.backbone[:, None] & np.array([True, True, False])
         self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
@@ -61,38 +69,55 @@ class LinearProblem:
         """Rate at which a contact relaxes by itself, 1/τ1: its mean stiffness over its friction kτ1."""
         return float(self.backbone.stiffness.mean())
 
-    @cached_property
-    def negative_modes(self) -> int | None:
-        """Number of negative modes of K on the pinned backbone; None, with a note, if unknown.
-
-        Without pre-stress K is a sum of squares. A certificate of this very packing says it, too; otherwise
-        they are counted.
-        """
-        if not self.prestress or self._certified.negative_modes == 0:
-            return 0
-        return self._counted(negative_modes, "negative")
-
-    @cached_property
-    def floppy_modes(self) -> int | None:
-        """Number of zero modes, the same way."""
-        certified = self._certified
-        if certified.negative_modes == certified.zero_modes == 0:
-            return 0  # without pre-stress K is stiffer still
-        return self._counted(lambda *which: modes(*which)[1], "zero")
+    @property
+    def rounding(self) -> Array:
+        """Modulus and viscosity up to which either is zero."""
+        return self.network.rounding_modulus * np.array([1.0, 1 / self.rate])
 
     @property
-    def _certified(self) -> Certificate:
-        known = self.packing.certificate
-        return known if known.checksum == self.packing.checksum else Certificate()
+    def negative_modes(self) -> int | None:
+        """Number of negative modes of K on the pinned backbone; None, with a note, if unknown."""
+        return 0 if not self.prestress else self._soft_modes[0]
 
-    def _counted(self, count: Callable[..., int], kind: str) -> int | None:
+    @property
+    def zero_modes(self) -> int | None:
+        """Number of zero modes, the same way."""
+        return self._soft_modes[1]
+
+    @cached_property
+    def _soft_modes(self) -> tuple[int | None, int | None]:
+        """Numbers of negative and of zero modes: of a certificate of this very packing, or counted."""
+        known = self.packing.certificate
+        counts = known.negative_modes, known.zero_modes
+        if known.checksum == self.packing.checksum and (
+            counts == (0, 0) or (self.prestress and None not in counts)
+        ):
+            return counts  # without pre-stress K is stiffer still
         try:
-            counted = on_root(self.comm, count, self.backbone, self.prestress)
-            give_back_memory()
-            return counted
+            return on_root(self.comm, modes, self.backbone, self.prestress)
         except SolverError as error:
-            self.notes.append(f"the {kind} modes could not be counted: {error}")
-            return None
+            self.notes.append(f"the negative and zero modes could not be counted: {error}")
+            return None, None
+        finally:
+            give_back_memory()
+
+    def _unresisted(self) -> Mask:
+        """Return degrees of freedom (N, 3) to hold: one for each motion that neither K nor B resists.
+
+        For instance a cluster that does not reach its own images turns and rolls as a whole. Both forms are
+        sums of squares here, and what K + B ignores each of them does.
+        """
+        places = np.flatnonzero(self.active)
+
+        def rows() -> Integers:
+            everybody = np.ones(len(self.packing), dtype=bool)
+            K = elastic_form(self.network, everybody, self.strains, prestress=False)
+            B = viscous_form(self.network, everybody, self.strains, self.law)
+            return dependent_rows(matrix(K, places) / self.rate + matrix(B, places))
+
+        held = np.zeros(self.active.size, dtype=bool)
+        held[places[on_root(self.comm, rows)]] = True
+        return held.reshape(self.active.shape)
 
     @property
     def pressed_rattlers(self) -> bool:
@@ -137,10 +162,12 @@ def agree(comm: Any, packing: Packing, *settings: Any) -> None:
         raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
 
 
-def describe(packing: Packing, network: ContactNetwork, name: str) -> dict[str, Any]:
-    """Return what identifies ``packing`` in a result."""
+def describe(problem: LinearProblem, name: str) -> dict[str, Any]:
+    """Return what identifies the packing of ``problem`` in a result."""
+    packing, network = problem.packing, problem.backbone
     return {
         "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
         "diameter": packing.mean_diameter, "pressure": network.pressure, "Z": network.Z,
         "rattlers": network.rattlers, "potential": packing.potential_name,
+        "balanced": problem.balanced, "net_force": problem.net_force,
     }  # fmt: skip

@@ -22,6 +22,7 @@ from petscjam.box import Array
 from petscjam.damping import DampingLaw, law_or_default
 from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import strain_mode
+from petscjam.network import rounded
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import resolve, total
 from petscjam.parallel.memory import check_memory
@@ -116,8 +117,8 @@ def spectrum(
             Spectrum, span=(low, high), rtol=rtol, limits=np.full((2, 2), np.nan),
             limit_errors=np.full((2, 2), np.nan), forcing=grow.forcing, affine=problem.affine,
             area=packing.box.area, pressure=problem.pressure, definite=problem.definite,
-            negative_modes=problem.negative_modes, strain=strain, damping=law,
-            prestress=prestress, packing=describe(packing, problem.backbone, name),
+            negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain, damping=law,
+            prestress=prestress, packing=describe(problem, name),
         )  # fmt: skip
         model = _until_certified(grow, make, progress)
         limits, limit_errors = comm.bcast(_own_limits(model, problem.notes))
@@ -141,8 +142,9 @@ def spectrum(
     performance["peak_MB"] = comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     performance["seconds"] = comm.bcast(time.perf_counter() - start)
     return replace(
-        model, limits=comm.bcast(limits), limit_errors=comm.bcast(limit_errors), notes=tuple(problem.notes),
-        performance=performance, motions=motions, geometry=packing if displacements else None,
+        model, limits=comm.bcast(rounded(limits, problem.rounding)), limit_errors=comm.bcast(limit_errors),
+        notes=tuple(problem.notes), performance=performance, motions=motions,
+        geometry=packing if displacements else None,
     )  # fmt: skip
 
 

@@ -131,7 +131,7 @@ def relaxation_modes(
         raise InputError(f"damping: {law} acts on contacts and on disks; relaxations are of one or the other")
     problem = LinearProblem(packing, law.without_fluid(), [mode], prestress, comm)
     check(count, problem.backbone)
-    for number, kind in ((problem.negative_modes, "negative"), (problem.floppy_modes, "zero")):
+    for number, kind in ((problem.negative_modes, "negative"), (problem.zero_modes, "zero")):
         if number != 0:
             many = "an unknown number of" if number is None else number
             raise SolverError(f"K has {many} {kind} modes: motions along them do not relax")
@@ -142,14 +142,14 @@ def relaxation_modes(
             law.body / soft.eigenvalues, soft.softening, soft.vectors / root[:, None, None],
             soft.residuals / soft.eigenvalues, soft.complete, soft.performance
         )  # fmt: skip
-        problem.notes += soft.notes
+        problem.notes = list(soft.notes)
     else:
         found = _under_contact_damping(problem, count, progress)
     performance = {**found.performance, "seconds": comm.bcast(time.perf_counter() - start)}
     return RelaxationModes(
         found.times, found.weights, found.vectors, found.residuals, found.complete,
         np.flatnonzero(problem.backbone.backbone), strain, law, prestress,
-        describe(packing, problem.backbone, name), packing, tuple(problem.notes), performance,
+        describe(problem, name), packing, tuple(problem.notes), performance,
     )  # fmt: skip
 
 

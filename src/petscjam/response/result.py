@@ -18,8 +18,6 @@ from petscjam.packing.packing import Packing
 if TYPE_CHECKING:
     from petscjam.response.spectrum import Spectrum
 
-ROUNDING = 1e-14  # of G0, relative to the largest modulus
-
 
 def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     """Return ``omegas`` as an array, or refuse an empty one and any that is not > 0 and finite."""
@@ -32,8 +30,38 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     return omega
 
 
+class Judged:
+    """A result that tells whether its packing is a solid, by G0, the modes of K and the balance of forces."""
+
+    @property
+    def state(self: Any) -> str:
+        """``stable``, or what the packing lacks for that, or what is not known.
+
+        It is stable if G0 > 0 beyond rounding, K has neither negative nor zero modes and, with pre-stress,
+        the forces balance: a linear response starts from an equilibrium. Without pre-stress contacts are
+        springs at rest, which are in one anywhere.
+        """
+        faults = ["G0 < 0"] * (self.G0 < 0) + ["G0 = 0"] * (self.G0 == 0)
+        unknown = ["G0"] * bool(np.isnan(self.G0))
+        for kind, count in (("negative modes", self.negative_modes), ("zero modes", self.zero_modes)):
+            faults += [f"{count} {kind}"] * bool(count)
+            unknown += [kind] * (count is None)
+        balanced = self.packing.get("balanced") if self.prestress else True  # older files do not tell
+        if faults:
+            return f"UNSTABLE: {', '.join(faults + ['not in balance'] * (balanced is False))}"
+        if balanced is False:
+            return "NOT IN BALANCE"
+        unknown += ["balance"] * (balanced is None)
+        return f"UNKNOWN: {', '.join(unknown)}" if unknown else "stable"
+
+    @property
+    def stable(self) -> bool:
+        """Whether ``state`` is ``stable``."""
+        return self.state == "stable"
+
+
 @dataclass(frozen=True, eq=False)
-class ComplexModulus:
+class ComplexModulus(Judged):
     """G*(ω) = G′ + iG″ of one packing. Units: stress k (BT) or ke/d² (VOT), time τ1.
 
     Attributes
@@ -56,8 +84,8 @@ class ComplexModulus:
         ω → ∞: G′ and G″/ω.
     limit_residuals : (2,)
         Residuals of the solves for the two limits; of a reduced model, bounds on their relative errors.
-    negative_modes : int or None
-        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    negative_modes, zero_modes : int or None
+        Such eigenvalues of K on the pinned backbone; None where a note says why.
     strain, damping : str
     prestress : bool
     packing : dict
@@ -89,6 +117,7 @@ class ComplexModulus:
     eta_inf: float
     limit_residuals: Array
     negative_modes: int | None
+    zero_modes: int | None
     strain: str
     damping: str
     prestress: bool
@@ -99,13 +128,3 @@ class ComplexModulus:
     geometry: Packing | None = None
     performance: dict[str, Any] = field(default_factory=dict)
     model: Spectrum | None = None
-
-    @property
-    def rigid(self) -> bool:
-        """Whether G0 > 0, beyond rounding."""
-        return bool(self.G0 > ROUNDING * abs(self.values).max())
-
-    @property
-    def stable(self) -> bool:
-        """Whether G0 > 0, beyond rounding, and K has no negative mode; False where either is unknown."""
-        return self.rigid and self.negative_modes == 0

@@ -21,7 +21,7 @@ from petscjam.damping import DampingLaw, StokesDrag
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.response.result import ComplexModulus, frequencies
+from petscjam.response.result import ComplexModulus, Judged, frequencies
 
 EPS = float(np.finfo(float).eps)
 ROUNDING = 32 * EPS  # of a sum over contacts, relative to the sum of moduli: twice the worst that was seen
@@ -41,7 +41,7 @@ class Relaxation(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(Judged):
     """G*(ω) of one packing at every frequency: ``s(omegas)``. Units: stress k (BT) or ke/d² (VOT), time τ1.
 
     Attributes
@@ -70,8 +70,8 @@ class Spectrum:
         K_γγ and B_γγ, before anything relaxes.
     area, pressure : float
         Of the cell; the pressure counts in the bulk modulus with pre-stress.
-    negative_modes : int or None
-        Negative eigenvalues of K on the pinned backbone; None where a note says why.
+    negative_modes, zero_modes : int or None
+        Such eigenvalues of K on the pinned backbone; None where a note says why.
     definite : bool
         Whether K is known to have none: then :meth:`error` is a bound, else an estimate.
     strain : str
@@ -109,6 +109,7 @@ class Spectrum:
     area: float
     pressure: float
     negative_modes: int | None
+    zero_modes: int | None
     definite: bool
     strain: str
     damping: DampingLaw
@@ -311,8 +312,9 @@ class Spectrum:
             power_balance=self.power_balance(omega), errors=self.error(omega),
             part_errors=np.array(self.part_errors(omega)),
             G0=self.G0, eta0=self.eta0, G_inf=self.G_inf, eta_inf=self.eta_inf,
-            limit_residuals=self.limit_errors.max(1), negative_modes=self.negative_modes,
-            strain=self.strain, damping=str(self.damping), prestress=self.prestress, packing=self.packing,
+            limit_residuals=self.limit_errors.max(1),
+            negative_modes=self.negative_modes, zero_modes=self.zero_modes, strain=self.strain,
+            damping=str(self.damping), prestress=self.prestress, packing=self.packing,
             notes=self.notes, field_omega=kept, fields=fields if len(kept) else np.empty((0, 0, 2), complex),
             geometry=self.geometry if len(kept) else None, performance=self.performance,
             model=replace(self, motions=None, geometry=None),
