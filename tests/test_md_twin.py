@@ -366,12 +366,13 @@ def test_at_the_contact_point_the_law_is_that_of_the_solver(beta, squeezed):
     state, model = strip(squeezed), Model(law, 3.0)
     network, B = solver_form(state, law)
     assert len(network) == 2 * len(state) - 3
-    motion = (np.column_stack([state.peculiar, squeezed * state.spins]) + 0j, [state.rate])
+    d = network.mean_diameter  # the solver's rotations are lengths, θd
+    motion = (np.column_stack([state.peculiar, squeezed * d * state.spins]) + 0j, [state.rate])
     forces, torques = twin.disk_forces(state, model)
     elastic, _ = twin.disk_forces(state, without_damping(model))
     damping = -B.apply(*motion).real / Q
     assert close(forces - elastic, damping[:, :2])
-    assert close(torques, squeezed * damping[:, 2])
+    assert close(torques, squeezed * d * damping[:, 2])
     assert twin.dissipation(state, model) == pytest.approx(B.product(motion, motion).real / Q, rel=1e-9)
     strained = (np.zeros((len(state), 3)) + 0j, [1.0])
     shear = -twin.pressure_tensor(state, model)[1][0, 1] * state.length**2
