@@ -378,6 +378,11 @@ def test_a_file_of_older_days_is_not_called_stable():
     assert old.state == "UNKNOWN: zero modes, balance"
 
 
+def test_elastic_constants_warn():
+    with pytest.warns(UserWarning, match=f"not in balance: .* {net_force(shortened()):.2g} p·d"):
+        pj.elastic_constants(shortened())
+
+
 def test_every_law_is_tried_on_what_is_not_in_balance():
     for law in LAWS.values():
         assert pj.complex_modulus(shortened(), [1.0], damping=law()).state == "NOT IN BALANCE"

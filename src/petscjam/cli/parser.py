@@ -135,7 +135,7 @@ def build_parser() -> Parser:
     p.add_argument(
         "--average",
         action="store_true",
-        help="the mean over packings, with scatter and standard error; unstable ones are left out",
+        help="the mean over packings, with scatter and standard error; those not stable are left out",
     )
     p.add_argument(
         "--omega",

@@ -233,7 +233,7 @@ def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -
         after = _energies(motions, node[None])[0][0]
         true = float(comm.bcast(abs(before / after - 1)))
         nodes.append(node)
-        ratios += [true / size[here]] * bool(size[here] > 0)
+        ratios += [true / size[here]] if size[here] > 0 else []
         if progress:
             done = np.log(np.clip(true, rtol / 10, 1)) / np.log(rtol)
             progress(float(np.clip(done, 0, 1)), f"{len(nodes)} factorisations, |G*| was within {true:.0e}")

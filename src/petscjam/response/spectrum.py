@@ -153,7 +153,8 @@ class Spectrum(Judged):
         """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
         omega = _positive(omegas)
         w = omega.ravel()
-        return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of what resists nothing at all
+            return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
 
     def part_errors(self, omegas: ArrayLike) -> tuple[Array, Array]:
         """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|.
@@ -166,7 +167,8 @@ class Spectrum(Judged):
         square = self._residual(w) ** 2
         rise, fall = self._gain_parts(w)
         whole, rounding = self._truncation(w), self._rounding(w)
-        least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
+        with np.errstate(divide="ignore", invalid="ignore"):
+            least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
         parts = []
         for part, first, second, rounded in (
             (abs(G.real), rise, fall, rounding[0]),
