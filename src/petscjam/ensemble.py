@@ -405,10 +405,10 @@ def average(
         raise InputError("average: the results have different laws, strains, pre-stress or potentials")
     first = next(iter(kept.values()))
     omega = first.omega if omegas is None else frequencies(omegas)
-    values = np.array([_at(name, g, omega) for name, g in kept.items()])
+    values: NDArray[np.complex128] = np.array([_at(name, g, omega) for name, g in kept.items()])
     n = len(values)
     several = n > 1
-    scatter = np.full(len(omega), np.nan + 1j * np.nan)
+    scatter: NDArray[np.complex128] = np.full(len(omega), np.nan + 1j * np.nan)
     if several:
         scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
     return Average(

@@ -102,7 +102,7 @@ class ContactNetwork:
     def Z(self) -> float:
         """Mean number of contacts of a backbone disk, contacts inside the backbone counted."""
         inside = self.backbone[self.i] & self.backbone[self.j]
-        return float(2 * inside.sum() / max(self.backbone.sum(), 1))
+        return float(2 * inside.sum() / max(int(self.backbone.sum()), 1))
 
     @property
     def stress(self) -> Array:

@@ -194,7 +194,8 @@ def _fixed_point(
         log_tau, converged = comm.bcast((_mixed(tried, missed), max(change, tau_change) < rtol))
     square = (abs(found.motion) ** 2).sum(1)
     share = tau * square / (tau * square).sum()
-    mean, spread = (tau @ square) / square.sum(), np.sqrt(share @ (np.log(tau) - share @ np.log(tau)) ** 2)
+    mean = float(tau @ square / square.sum())
+    spread = float(share @ (np.log(tau) - share @ np.log(tau)) ** 2) ** 0.5
     return comm.bcast(
         _Point(found.G, mean, spread, iterations, converged, change, tau_change, found.residual, tau)
     )

@@ -199,9 +199,10 @@ def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
 
     Where few disks all drew the same, a translation, they draw again.
     """
-    generator, u = np.random.default_rng([seed, v]), np.ones((len(backbone), 2))
+    generator = np.random.default_rng([seed, v])
+    u: Array = np.ones((len(backbone), 2))
     while not np.ptp(u[backbone], axis=0).any():
-        u = generator.choice([-1.0, 1.0], (len(backbone), 2))
+        u = np.asarray(generator.choice([-1.0, 1.0], (len(backbone), 2)), dtype=float)
     return projected(u, backbone)
 
 

@@ -109,7 +109,7 @@ def search_all(
             break
         if vain == TRIES:
             raise SolverError(f"the eigensolver missed {missing} of the lowest modes, {TRIES} times")
-        before = (found.values < sigma).sum()
+        before = int((found.values < sigma).sum())
         wanted = min(missing, count + SPARE, most - there)
     performance: dict[str, Any] = {"eigensolves": len(seconds)}
     performance["eigensolve_seconds"], performance["count_seconds"] = np.sum(seconds, axis=0).tolist()

@@ -109,7 +109,7 @@ def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> b
         force: Field = y.array.copy()
         return force, float(total(problem.comm, np.vdot(force, force).real)) ** 0.5
 
-    field = np.random.default_rng(0).standard_normal((len(problem.packing), 3)) + 0j
+    field = np.random.default_rng(0).standard_normal((len(problem.packing), 3)).astype(complex)
     motion = pencil.dofs.scatter(field, problem.comm.rank)
     missed = solver.solve(resisted(motion)[0])[0] - motion
     size = total(problem.comm, np.vdot(missed, missed).real) ** 0.5

@@ -86,7 +86,7 @@ class Motions:
         for form, matrix, pull in zip(self.pencil.forms, self.pencil.matrices, self.pulls, strict=True):
             # a sum over contacts, where nothing cancels
             self.reduced.append(np.array([[problem.product(form, Q, Q).real]]))
-            self.forces.append(pull + self.apply(matrix, self._offset + 0j).real)
+            self.forces.append(pull + self.apply(matrix, self._offset.astype(complex)).real)
         return [q.imag]
 
     def extend(self, vectors: list[Array]) -> list[Array]:

@@ -256,7 +256,8 @@ class _Projection(Motions):
         R = self._direction(grid)
         if R is None:
             return common | self._rounding_only(grid)
-        KR, BR = self.apply(self.pencil.K, R + 0j).real, self.apply(self.pencil.B, R + 0j).real
+        r = R.astype(complex)
+        KR, BR = self.apply(self.pencil.K, r).real, self.apply(self.pencil.B, r).real
         residual_K = np.concatenate([[self.dot(R, self.forces[0])], self.on_motions(KR)])
         residual_B = np.concatenate([[self.dot(R, self.forces[1])], self.on_motions(BR)])
         gains = np.zeros(len(self.nodes), dtype=complex)
@@ -330,7 +331,7 @@ class _Projection(Motions):
     def _residual(self, omega: float) -> Complex:
         """Return the residual of the model at ``omega``, this rank's rows."""
         K, B = self.reduced
-        A = K + 1j * omega * B
+        A: Complex = K + 1j * omega * B
         y = -np.linalg.solve(A[1:, 1:], A[1:, 0]) if len(A) > 1 else np.zeros(0, dtype=complex)
         u = self.combine(y)
         r = self.forces[0] + self.apply(self.pencil.K, u)

@@ -147,7 +147,7 @@ class Spectrum(Judged):
         w = omega.ravel()
         storage, loss = self._rounding(w)
         absolute = self._truncation(w) + np.hypot(storage, loss)
-        return (self.estimate + _relative(absolute, abs(self._modulus(w)))).reshape(omega.shape)
+        return (self.estimate + _relative(absolute, np.abs(self._modulus(w)))).reshape(omega.shape)
 
     def truncation(self, omegas: ArrayLike) -> Array:
         """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
