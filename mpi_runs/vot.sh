@@ -10,15 +10,15 @@ shear() { mpirun -n 2 petscjam "$@" --resume; }
 # CD at φ = 0.82: Newtonian below Qc, Bagnoldian above (VOT fig. 2)
 shear shear --model CD --particles 1024 --phi 0.82 --Q 1,5,20,70,100,150 --rate 1e-5 --strain 2 --dt 0.1 -o "$out/CD"
 # CD_rot at Q = 1: Bagnoldian at φ = 0.76, Newtonian at 0.82 (VOT figs. 11, 16)
-shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-4 --strain 10 --dt 0.1 -o "$out/CD_rot"
-shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-5 --strain 2 --dt 0.1 -o "$out/CD_rot"
+shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-4 --strain 10 -o "$out/CD_rot"
+shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-5 --strain 2 -o "$out/CD_rot"
 # the Newtonian band at P = 2e-5
-shear shear --model CD_rot --particles 1024 --phi 0.809 --rate 4.2e-6 --strain 1.5 --dt 0.1 -o "$out/newtonian.h5"
+shear shear --model CD_rot --particles 1024 --phi 0.809 --rate 4.2e-6 --strain 1.5 -o "$out/newtonian.h5"
 # shear bands from a Bagnoldian start: CD_n is Bagnoldian at every φ
-shear shear --model CD_n --particles 16384 --phi 0.7984 --rate 3e-5 --strain 0.4 --dt 0.1 -o "$out/bagnold.h5"
-shear shear --model CD_rot --start "$out/bagnold.h5" --rate 3e-5 --strain 6 --dt 0.1 -o "$out/bands.h5"
+shear shear --model CD_n --particles 16384 --phi 0.7984 --rate 3e-5 --strain 0.4 -o "$out/bagnold.h5"
+shear shear --model CD_rot --start "$out/bagnold.h5" --rate 3e-5 --strain 6 -o "$out/bands.h5"
 # a ramp across the coexistence region
-shear ramp --model CD_rot --particles 4096 --phi 0.802 --rate 3e-6 --to 1e-4 --kappa 1e-5 --dt 0.1 -o "$out/ramp.h5"
+shear ramp --model CD_rot --particles 4096 --phi 0.802 --rate 3e-6 --to 1e-4 --kappa 1e-5 -o "$out/ramp.h5"
 
 for name in CD CD_rot bands ramp; do
     file=$out/$name

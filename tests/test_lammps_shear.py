@@ -1,6 +1,7 @@
 """Sheared disks on to LAMMPS and back: the same numbers, the same forces, and clear refusals."""
 
 import os
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +18,12 @@ from petscjam.io.importers import import_packing
 from petscjam.io.lammps_shear import read_lammps, read_log, write_lammps
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import random_state
+from petscjam.potential import POTENTIALS
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 LAMMPS = Path(__file__).parents[1] / ".venv-lammps"
 CD_rot = Model(MODELS["CD_rot"], Q=1.0)
-RATE, DT = 0.01, 0.05
+RATE, DT = 0.01, 0.02
 
 
 def some_state(n=64, seed=1, strain=1.3, radii=None):
@@ -67,6 +69,25 @@ def test_data_holds_the_disks_to_the_last_bit(tmp_path_factory, seed, strain):
     assert (cell == state.box.cell).all()
 
 
+@pytest.mark.parametrize("name", ["harmonic", "harmonic-relative"])
+def test_springs_and_the_label_are_those_of_the_potential(dumped, name):
+    write(some_state(), dumped, Model(MODELS["CD"], 10.0, POTENTIALS[name]), dt=0.1, overwrite=True)
+    lines = (dumped / "in.shear").read_text().splitlines()
+    found = [float(line.split()[4]) for line in lines if line.startswith("pair_coeff")]
+    sums = np.array([1.0, 1.2, 1.4])
+    assert found == pytest.approx(np.ones(3) if name == "harmonic" else 1 / sums**2)
+    (dumped / "end.dump").write_text(DUMP.format(step=340))
+    assert read_lammps(dumped).potential_name == name
+
+
+def test_a_step_left_out_is_one_that_the_contacts_bear(tmp_path):
+    """Random positions in a quarter of the room: dozens of contacts on a disk."""
+    state = some_state()
+    write(replace(state, length=0.5 * state.length), tmp_path, dt=None)
+    dt = float(re.search(r"variable dt index (\S+)", (tmp_path / "in.shear").read_text())[1])
+    assert dt < CD_rot.step(None, "heun")
+
+
 def test_another_rate_keeps_peculiar_velocities(tmp_path):
     state = some_state()
     write(state, tmp_path, rate=-0.3)
@@ -97,7 +118,7 @@ ITEM: ATOMS id type x y vx vy omegaz radius
 @pytest.fixture
 def dumped(tmp_path):
     """A folder with the input and, as LAMMPS would leave them, two frames 100 and 340 steps on."""
-    write(some_state(), tmp_path, dt=0.1)
+    write(some_state(), tmp_path, Model(MODELS["CD"], 10.0), dt=0.1)
     (tmp_path / "shear.dump").write_text(DUMP.format(step=100) + DUMP.format(step=340))
     (tmp_path / "end.dump").write_text(DUMP.format(step=340))
     return tmp_path
@@ -163,7 +184,7 @@ def test_log_without_a_table_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"model": Model(MODELS["CD"], Q=1.0, exponent=2.5)}, "exponent.*2.5"),
+        ({"model": Model(MODELS["CD"], 1.0, POTENTIALS["hertzian"])}, "exponent.*2.5"),
         ({"model": Model(MODELS["CD"], Q=1.0, drag=0.1)}, "affine flow.*0.1"),
         ({"model": Model(StokesDrag(), Q=2.0)}, "affine flow.*0.5"),
         ({"model": Model(MODELS["CD_rot"], Q=1.0, spin_drag=0.2)}, "rotations.*0.2"),
@@ -171,6 +192,7 @@ def test_log_without_a_table_is_refused(tmp_path):
         ({"rate": np.nan}, "rate.*nan"),
         ({"strain": -1.0}, "strain.*-1.0"),
         ({"dt": 0.5}, "dt.*0.5"),
+        ({"dt": 0.1}, "dt must be at most 0.0.* for these contacts, not 0.1"),
         ({"every": 0}, "every.*0"),
     ],
 )

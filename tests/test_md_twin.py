@@ -15,12 +15,14 @@ from petscjam.damping import LAWS, viscous_form
 from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import State, cell_length
+from petscjam.potential import power_law
 
 LAW = [
     *(pytest.param(law, id=name) for name, law in MODELS.items()),
     pytest.param(pj.ContactDamping(0.3), id="beta=0.3"),
     pytest.param(pj.ContactDamping(3.0, rotations=False), id="beta=3 at centres"),
     pytest.param(pj.StokesDrag(0.0), id="stokes"),
+    pytest.param(pj.StokesDrag(3.0), id="stokes in a fluid"),
 ]
 
 
@@ -70,7 +72,7 @@ models = st.builds(
     Model,
     law=st.sampled_from([case.values[0] for case in LAW]),
     Q=st.floats(0.2, 20),
-    exponent=st.sampled_from([2.0, 2.5, 3.0]),
+    potential=st.builds(power_law, st.sampled_from([2.0, 2.5, 3.0]), st.booleans()),
     drag=st.sampled_from([0.0, 0.7]),
     spin_drag=st.sampled_from([0.0, 0.2]),
 )
@@ -78,7 +80,7 @@ models = st.builds(
 
 def without_damping(model):
     """The same repulsion alone: at Q = 1e300 the friction is lost in rounding."""
-    return Model(model.law, 1e300, model.exponent)
+    return Model(model.law, 1e300, model.potential)
 
 
 # Collisions

@@ -11,22 +11,25 @@ from petscjam.md.quench import quench, snapshot
 from petscjam.md.result import BLOCKS, ROWS, Run, write_run
 from petscjam.md.state import State, random_state
 from petscjam.network import ContactNetwork
+from petscjam.potential import power_law
 from petscjam.storage import atomic_h5
 
 SETTINGS = {
-    "model": "CD", "law": "ContactDamping", "Q": 2.0, "exponent": 2.0, "drag": 0.0, "spin_drag": 0.0,
-    "seed": 3, "protocol": "steady", "rate": 1e-3, "strain0": 0.0, "start": "random",
+    "model": "CD", "law": "ContactDamping", "Q": 2.0, "potential": "harmonic-relative", "drag": 0.0,
+    "spin_drag": 0.0, "seed": 3, "protocol": "steady", "rate": 1e-3, "strain0": 0.0, "time0": 0.0,
+    "start": "random",
 }  # fmt: skip
 
 
-def run_of(state, **settings):
+def run_of(state):
     rows = {name: np.zeros(1) for name in ROWS}
-    return Run({**SETTINGS, **settings}, rows, {name: np.zeros(1) for name in BLOCKS}, state)
+    settings = {**SETTINGS, "potential": state.potential_name}
+    return Run(settings, rows, {name: np.zeros(1) for name in BLOCKS}, state)
 
 
-def written(state, path, **settings):
+def written(state, path):
     with atomic_h5(path) as h5:
-        write_run(h5, run_of(state, **settings))
+        write_run(h5, run_of(state))
     return path
 
 
@@ -113,8 +116,8 @@ def test_provenance_says_which_flow(jammed, tmp_path):
     flow = replace(jammed, rate=2e-3)
     quench(run_of(flow)).write(tmp_path / "p.h5")
     known = pj.Packing.read(tmp_path / "p.h5").provenance
-    assert {key: known[key] for key in ("model", "Q", "seed", "exponent")} == {
-        "model": "CD", "Q": 2.0, "seed": 3, "exponent": 2.0,
+    assert {key: known[key] for key in ("model", "Q", "seed", "potential")} == {
+        "model": "CD", "Q": 2.0, "seed": 3, "potential": "harmonic-relative",
     }  # fmt: skip
     assert known["rate"] == 2e-3
     assert known["strain"] == pytest.approx(1.05)
@@ -122,16 +125,23 @@ def test_provenance_says_which_flow(jammed, tmp_path):
     assert known["quenched"] == snapshot(run_of(flow)).checksum
 
 
-@pytest.mark.parametrize(("exponent", "name"), [(2.0, "harmonic-relative"), (2.5, "hertzian-relative")])
-def test_the_potential_is_that_of_the_run(jammed, exponent, name):
-    p = quench(run_of(jammed, exponent=exponent))
+@pytest.mark.parametrize("relative", [True, False])
+@pytest.mark.parametrize("alpha", [2.0, 2.5, 3.0, 2.2])
+def test_the_potential_is_that_of_the_run(jammed, tmp_path, alpha, relative):
+    """All the way: file of the run, quenched packing, its file, the stiffness that the solver sees."""
+    name = power_law(alpha, relative).name
+    run = pj.md.read(written(replace(jammed, potential_name=name), tmp_path / "run.h5"))
+    assert run.state.potential_name == name
+    quench(run).write(tmp_path / "p.h5")
+    p = pj.Packing.read(tmp_path / "p.h5")
     assert p.potential_name == name
     assert p.certificate.proved
-
-
-def test_an_exponent_without_potential_is_refused(jammed):
-    with pytest.raises(pj.InputError, match=r"exponent 3;.*2\.5 \(hertzian-relative\)"):
-        quench(run_of(jammed, exponent=3.0))
+    network = ContactNetwork.of(p)
+    sigma = p.radii[network.i] + p.radii[network.j]
+    scale = sigma if relative else 1.0
+    overlap = (sigma - network.distance) / scale
+    assert network.force == pytest.approx(overlap ** (alpha - 1) / scale)
+    assert network.stiffness == pytest.approx((alpha - 1) * overlap ** (alpha - 2) / scale**2)
 
 
 @pytest.mark.parametrize(("phi", "budget"), [(0.3, 50_000), (0.6, 50_000), (0.8, 50_000)])
@@ -149,10 +159,10 @@ def test_bad_method_is_refused(jammed):
 
 
 def test_import_reads_the_last_state_as_it_is(jammed, tmp_path):
-    p = pj.import_packing(written(jammed, tmp_path / "run.h5", exponent=2.5))
+    p = pj.import_packing(written(replace(jammed, potential_name="hertzian"), tmp_path / "run.h5"))
     assert (p.positions == jammed.positions).all()
     assert (p.box.cell == jammed.box.cell).all()
-    assert p.potential_name == "hertzian-relative"
+    assert p.potential_name == "hertzian"
     assert p.certificate.proved is None
     assert p.provenance["source"] == "run.h5"
     assert p.provenance["model"] == "CD"

@@ -3,21 +3,30 @@
 import signal
 import subprocess
 import sys
+from dataclasses import replace
+from functools import cache
 
+import h5py
 import numpy as np
 import pytest
 from conftest import names
 
 import petscjam as pj
 from petscjam.cli import main
-from petscjam.damping import ContactDamping
-from petscjam.errors import InputError
+from petscjam.damping import ContactDamping, StokesDrag
+from petscjam.errors import DoubtfulWarning, InputError
 from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
 from petscjam.md.model import Model, model_of
 from petscjam.md.result import blocked_error, export_csv, read_folder
 from petscjam.md.runs import run
+from petscjam.md.simulation import Simulation
+from petscjam.md.starts import first_state
 from petscjam.md.state import State, random_state
+from petscjam.network import ContactNetwork
+from petscjam.plots.shear import plot_flow, plot_run
+from petscjam.potential import power_law
+from petscjam.storage import atomic_h5
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 SMALL = {"model": "CD_rot", "n": 36, "phi": 0.82, "rate": 1e-2, "strain": 0.6, "seed": 3}
@@ -53,16 +62,23 @@ def same(one, other):
     )
 
 
+@pytest.mark.filterwarnings("ignore::petscjam.errors.DoubtfulWarning")
+@pytest.mark.parametrize("dt", [None, 0.11])
 @pytest.mark.parametrize("integrator", ["heun", "single"])
-def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator):
-    """Contact events and histograms included, whatever the moments at which it was stopped."""
-    file, given = tmp_path / "run.h5", {**SMALL, "integrator": integrator}
+def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, dt):
+    """Contact events and histograms included, whatever the moments at which it was stopped.
+
+    With a large dt steps are divided now and then.
+    """
+    file, given = tmp_path / "run.h5", {**SMALL, "integrator": integrator, "dt": dt}
     for fraction in (0.1, 0.45, 0.8):
         with pytest.raises(StoppedError):
             pj.md.shear(**given, output=file, resume=True, progress=stop_at(fraction))
         assert pj.md.read(file).strain[-1] == pytest.approx(fraction * 0.6, abs=0.06)
-    assert same(pj.md.shear(**given, output=file, resume=True), pj.md.shear(**given)) == []
-    assert same(pj.md.read(file), pj.md.shear(**given)) == []
+    undisturbed = pj.md.shear(**given)
+    assert same(pj.md.shear(**given, output=file, resume=True), undisturbed) == []
+    assert same(pj.md.read(file), undisturbed) == []
+    assert (undisturbed.rows["parts"].max() > 1) == (dt is not None)
 
 
 KILLED = """
@@ -93,7 +109,8 @@ def test_a_kill_loses_at_most_the_last_interval(tmp_path, environment):
 def test_threads_do_not_change_the_numbers(environment):
     """Sums are those of runs of disks, in order: 1 and 2 threads agree bit for bit."""
     text = (
-        "import petscjam as pj; r = pj.md.shear('CD_rot', 10000, 0.82, rate=1e-2, strain=0.05, threads={});"
+        "import petscjam as pj; "
+        "r = pj.md.shear('CD_rot', 10000, 0.82, rate=1e-2, strain=0.05, dt=0.1, threads={});"
         "print(r.state.positions.tobytes().hex(), r.stress.tobytes().hex())"
     )
     environment["NUMBA_NUM_THREADS"] = "2"
@@ -152,11 +169,12 @@ def test_a_truncated_file_is_refused(tmp_path, keep):
 BAD = [
     ("--phi 1.2", "1.2"), ("--phi 0", "not 0"), ("--Q 0", "not 0"), ("--Q -1", "-1"), ("--rate 0", "rate"),
     ("--strain -3", "-3"), ("--particles 33", "33"), ("--particles 4", "4"), ("--dt 0.5", "0.5"),
-    ("--dt -0.1", "-0.1"), ("--dt 0.1 --integrator single", "0.0521"), ("--model CD_x", "CD_x"),
+    ("--dt -0.1", "-0.1"), ("--dt 0.2 --integrator single", "0.167"), ("--model CD_x", "CD_x"),
     ("--threads 0", "not 0"), ("--exponent 1", "1"), ("--seed -1", "-1"),
     ("--start nowhere.h5", "nowhere.h5"), ("--drag -1", "-1"), ("--model CD --beta 0.3", "--beta"),
     ("--oscillate 1:2", "1:2"), ("--rate nan", "nan"), ("--then 1e-3", "1e-3"),
-    ("--phi 1.2,1.3 --particles 36", "1.2"),
+    ("--phi 1.2,1.3 --particles 36", "1.2"), ("--bulk profile", "--bulk"),
+    ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"), ("--start nowhere.h5 --seeds 1:2", "--seeds"),
 ]  # fmt: skip
 
 
@@ -205,9 +223,28 @@ def test_shear_that_stops_leaves_the_strain_and_takes_the_motion():
     assert stopped.rows["heat"][-1] < 0.02 * stopped.rows["heat"].max()
 
 
-def test_an_oscillation_measures_the_modulus_of_the_linear_response():
+def test_the_bulk_is_what_a_start_follows():
+    """A start at rest: on the linear profile, or left to the boundary; at a rate: scaled, moved, or left."""
+    rest = random_state(36, 0.5, 1)
+    flow = pj.md.shear(**{**SMALL, "strain": 0.05}).state
+
+    def start(state, bulk):
+        law = Model(pj.ContactDamping(), 1.0)
+        return first_state(state, "a state", None, None, 1, law, protocols.steady(0.3, 1.0, bulk))
+
+    for state in (rest, flow):
+        wrapped, still = state.wrapped(), start(state, "boundary")
+        assert still.rate == 0.3
+        assert (still.velocities == wrapped.velocities).all()
+        assert (still.spins == state.spins).all()
+        assert start(state, "profile").peculiar == pytest.approx(state.peculiar)
+    assert start(flow, "scale").velocities == pytest.approx(flow.velocities * 0.3 / flow.rate)
+
+
+@pytest.mark.parametrize("name", ["harmonic", "harmonic-relative"])
+def test_an_oscillation_measures_the_modulus_of_the_linear_response(name):
     """A jammed packing swung slowly by 1e-5 shows the G* of the solver, but for inertia and time steps."""
-    start = pj.prepare_packing(32, pressure=2e-2, seed=2, potential_name="harmonic-relative")
+    start = pj.prepare_packing(32, pressure=2e-2, seed=2, potential_name=name)
     scale = 2 * start.radii.min()  # the state is in units of the smallest diameter
     amplitude, omega, Q = 1e-5, 0.02, 1.0
     swung = run(
@@ -216,13 +253,12 @@ def test_an_oscillation_measures_the_modulus_of_the_linear_response():
     kept = swung.time > 2 * 2 * np.pi / omega
     step = np.diff(swung.time).mean()
     phase = omega * (swung.time[kept] - step / 2)
+    assert swung.missed < 1e-3
     stress = swung.stress[kept]
     design = np.column_stack([np.sin(phase), np.cos(phase), np.ones(kept.sum())])
     storage, loss, _ = np.linalg.lstsq(design, stress, rcond=None)[0] / amplitude
     state = swung.state
-    packing = pj.Packing(
-        start.positions / scale, start.radii / scale, pj.Box(start.box.cell / scale), "harmonic-relative"
-    )
+    packing = pj.Packing(start.positions / scale, start.radii / scale, pj.Box(start.box.cell / scale), name)
     g = pj.complex_modulus(packing, [omega / Q], damping=ContactDamping(beta=1.0, rotations=False))
     assert state.phi == pytest.approx(packing.phi)
     assert storage == pytest.approx(g.values[0].real, rel=0.02)
@@ -250,15 +286,123 @@ def test_every_start_is_recorded(tmp_path):
         pj.md.shear(phi=0.8, start=first)
 
 
+@pytest.mark.parametrize("relative", [True, False])
+@pytest.mark.parametrize("alpha", [2.0, 2.5, 3.0])
+def test_a_start_keeps_its_potential(tmp_path, alpha, relative):
+    """The forces of a packing balance in the dynamics, too, and its pressure is p ds²/E, E = ke or k ds^α."""
+    name = power_law(alpha, relative).name
+    loose = pj.prepare_packing(64, pressure=2e-2, seed=1)
+    packing = pj.relax_packing(replace(loose, potential_name=name))
+    ds, p = 2 * packing.radii.min(), ContactNetwork.of(packing).pressure
+    packing.write(tmp_path / "p.h5")
+    for start in (packing, tmp_path / "p.h5"):
+        still = run(protocols.steady(1e-9, 1e-9 * 30), "CD", start=start, output=tmp_path / "run.h5",
+                    frames=1, overwrite=True)  # fmt: skip
+        assert np.abs(still.state.velocities).max() < 1e-7
+        assert still.pressure_elastic == pytest.approx(p * ds**2 / (1 if relative else ds**alpha), rel=1e-6)
+        assert still.settings["potential"] == still.state.potential_name == name
+    assert model_of(pj.md.read(tmp_path / "run.h5").settings).potential == power_law(alpha, relative)
+    frame = next((tmp_path / "run.frames").iterdir())
+    assert pj.import_packing(frame).potential_name == name
+    again = pj.md.shear("CD", rate=1e-3, strain=1e-3, start=tmp_path / "run.h5", output=tmp_path / "b.h5")
+    assert again.settings["potential"] == name
+    longer = pj.md.shear("CD", rate=1e-3, strain=2e-3, output=tmp_path / "b.h5", resume=True)
+    assert longer.settings["potential"] == name
+    other = pj.md.shear("CD", rate=1e-3, strain=1e-3, start=still, exponent=2.2)
+    assert other.settings["potential"] == power_law(2.2, relative).name
+    with pytest.raises(InputError, match=r"potential = .*cannot be resumed"):
+        pj.md.shear("CD", rate=1e-3, strain=2e-3, exponent=2.2, output=tmp_path / "b.h5", resume=True)
+
+
+def test_a_resumed_run_keeps_its_start(tmp_path):
+    """Another one would be ignored."""
+    first, second = (pj.md.shear(**{**SMALL, "strain": 0.02, "seed": seed}).state for seed in (1, 2))
+    file = tmp_path / "run.h5"
+    packing = quench_like(first)
+    given = {"model": "CD", "rate": 1e-3, "strain": 1e-3, "output": file}
+    pj.md.shear(**given, start=packing)
+    assert "seed" not in pj.md.read(file).settings
+    pj.md.shear(**given, start=packing, resume=True)
+    pj.md.shear(**given, resume=True)
+    with pytest.raises(InputError, match=r"start = packing .*cannot be resumed"):
+        pj.md.shear(**given, start=quench_like(second), resume=True)
+
+
+def quench_like(state):
+    """A packing of the same disks, not minimised."""
+    return replace(state, velocities=0 * state.velocities).packing()
+
+
+def test_the_viscosity_of_a_fluid_is_in_the_books():
+    """ηF/Q times the strain rate adds to the stress, its square to heat and work; nothing else changes."""
+    for protocol in (protocols.steady(1e-2, 0.5), protocols.oscillation(0.1, 0.1, 1)):
+        dry, wet = (run(protocol, StokesDrag(eta), 36, 0.84, 2.0) for eta in (0.0, 5.0))
+        assert np.array_equal(wet.state.positions, dry.state.positions)
+        assert wet.stress - dry.stress == pytest.approx(5.0 / 2.0 * dry.rate)
+        assert wet.rows["dissipative_yx"] - dry.rows["dissipative_yx"] == pytest.approx(-2.5 * dry.rate)
+        assert wet.pressure == pytest.approx(dry.pressure, rel=1e-12)
+        duration, area = np.diff(dry.time, prepend=0), dry.state.length**2
+        more = wet.rows["heat"] - dry.rows["heat"]
+        if protocol.name == "steady":
+            assert more == pytest.approx(2.5 * dry.rate**2 * area * duration)
+        else:
+            assert more.sum() == pytest.approx(2.5 * (0.1 * 0.1) ** 2 / 2 * area * duration.sum(), rel=1e-3)
+        assert wet.rows["work"] - dry.rows["work"] == pytest.approx(more)
+        assert wet.rows["imbalance"] == pytest.approx(dry.rows["imbalance"], abs=1e-12)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("degrees", [0, 17, -40])
+@pytest.mark.parametrize(
+    "vectors",
+    [[[1, 0], [0, -1]], [[-1, 0], [0, 1]], [[0, 1], [1, 0]], [[1, 1], [0, 1]], [[2, 1], [3, 2]]],
+    ids=str,
+)
+def test_squares_by_other_lattice_vectors(vectors, degrees, tilt):
+    """Left-handed, in another order, sums, turned: the same lattice, so the same shear."""
+    plain, F = jammed(), np.array([[1.0, tilt], [0.0, 1.0]])
+    straight = pj.Packing(plain.positions @ F.T, plain.radii, plain.box.deformed(F))
+    cell = np.array(vectors) @ turn(straight.box.cell, degrees)
+    start = pj.Packing(turn(straight.positions, degrees), straight.radii, pj.Box(cell))
+    one, two = (pj.md.shear("CD", rate=1e-2, strain=1e-2, start=p) for p in (straight, start))
+    assert two.stress == pytest.approx(one.stress, rel=1e-9)
+    assert two.pressure == pytest.approx(one.pressure, rel=1e-9)
+    assert (f"turned by {-degrees}" in two.settings["start"]) == (degrees != 0)
+    assert "turned" not in one.settings["start"]
+
+
+def test_a_cell_sheared_along_y_is_turned():
+    """Until its edge lies along x."""
+    plain, F = jammed(), np.array([[1.0, 0.0], [0.3, 1.0]])
+    upright = pj.Packing(plain.positions @ F.T, plain.radii, plain.box.deformed(F))
+    lying = pj.Packing(turn(upright.positions, -90), upright.radii, pj.Box(turn(upright.box.cell, -90)))
+    one, two = (pj.md.shear("CD", rate=1e-2, strain=1e-2, start=p) for p in (upright, lying))
+    assert "turned by -90" in one.settings["start"]
+    assert two.stress == pytest.approx(one.stress, rel=1e-9)
+    assert one.strain[0] == pytest.approx(-0.3 + 1e-2)
+
+
+@cache
+def jammed():
+    return pj.prepare_packing(36, pressure=1e-2, seed=1)
+
+
+def turn(vectors, degrees):
+    """Turn vectors (…, 2) counter-clockwise."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.asarray(vectors) @ np.array([[c, s], [-s, c]])
+
+
 def test_a_packing_is_a_start_at_rest_in_its_own_cell():
     """Lengths are those of the smallest diameter; a cell that is not a sheared square is refused."""
     packing = pj.prepare_packing(32, pressure=1e-2, seed=1)
     sheared = pj.md.shear("CD", rate=1e-2, strain=0.02, start=packing)
     assert sheared.settings["phi"] == pytest.approx(packing.phi)
     assert 2 * sheared.state.radii.min() == pytest.approx(1.0)
-    oblong = pj.Packing(packing.positions, packing.radii, pj.Box(packing.box.cell * [[2.0], [1.0]]))
-    with pytest.raises(InputError, match="not a square one"):
-        pj.md.shear(start=oblong)
+    for cell in (packing.box.cell * [[2.0], [1.0]], packing.box.cell * [[2.0], [0.5]],
+                 packing.box.cell @ [[1.0, 0.5], [0.0, 0.75**0.5]]):  # fmt: skip
+        with pytest.raises(InputError, match="not a square one"):
+            pj.md.shear(start=pj.Packing(packing.positions, packing.radii, pj.Box(cell)))
 
 
 def test_a_change_of_rate_scales_a_start():
@@ -305,6 +449,72 @@ def test_states_are_checked_at_birth():
     bad[5, 0] = np.nan
     with pytest.raises(InputError, match="velocities of disk 5"):
         State(state.positions, bad, state.spins, state.radii, state.length)
+
+
+@pytest.mark.parametrize("integrator", ["heun", "single"])
+@pytest.mark.parametrize(
+    ("model", "Q", "rate", "phi"),
+    [("CD_rot", 1.0, 1e-2, 0.3), ("CD_rot", 1.0, 1e-3, 0.6), ("CD_rot", 0.2, 1e-2, 0.6),
+     ("CD_n", 0.2, 1e-2, 0.6), ("CD_n", 1.0, 1e-2, 0.7), ("CD", 0.1, 0.3, 0.6), ("CD", 0.3, 0.3, 0.3),
+     ("CD", 30.0, 1e-2, 0.8)],
+)  # fmt: skip
+def test_the_default_step_accounts_for_99_percent_of_the_heat(model, Q, rate, phi, integrator):
+    """Where disks collide most violently for their damping, too."""
+    made = pj.md.shear(model, 256, phi, Q, rate=rate, strain=2.0, integrator=integrator)
+    assert made.missed < 0.01
+    assert made.warnings == ()
+
+
+def test_a_budget_that_misses_a_percent_is_told_everywhere(tmp_path, capsys, monkeypatch):
+    """In the log, in the file, by info and in figures; in Python as a warning, here of an unstable run."""
+    words = "shear --model CD_n --particles 64 --phi 0.6 --Q 0.3 --rate 1e-2 --strain 2 --dt 0.09"
+    file = tmp_path / "run.h5"
+    assert main([*words.split(), "-o", str(file)]) == 0
+    told = f"the energy budget misses {100 * pj.md.read(file).missed:.2g} % of the heat: take a smaller dt"
+    printed = capsys.readouterr()
+    assert f"petscjam: warning: {file}: {told}\n" in printed.err
+    assert f"WARNING: {told}" in printed.out
+    for given in (file, tmp_path):
+        assert main(["info", str(given)]) == 0
+        assert f"WARNING: {told}" in capsys.readouterr().out
+    with h5py.File(file) as h5:
+        assert list(h5.attrs["warnings"]) == [told]
+    shown = []
+    monkeypatch.setattr("petscjam.plots.shear.save", lambda figure, path: shown.append(figure))
+    plot_run(pj.md.read(file), None)
+    plot_flow({"run": pj.md.read(file)}, None)
+    assert [figure.get_supxlabel() for figure in shown] == [f"warning: {told}", f"warning: run: {told}"]
+    monkeypatch.setattr(Simulation, "demand", lambda self: 1)
+    with pytest.warns(DoubtfulWarning, match=r"misses .* % of the heat"):
+        hot = pj.md.shear("CD", 256, 0.9, 0.1, rate=0.3, strain=10.0, dt=0.0087, integrator="single")
+    assert hot.missed > 0.1
+
+
+def test_a_step_that_is_too_large_is_told(tmp_path, capsys):
+    """And divided: the numbers are good."""
+    words = "shear --model CD --particles 64 --phi 0.84 --Q 0.3 --rate 1e-2 --strain 0.5 --dt 0.12"
+    file = tmp_path / "run.h5"
+    assert main([*words.split(), "-o", str(file)]) == 0
+    made = pj.md.read(file)
+    told = f"dt = 0.12 is too large for the contacts in {(made.rows['parts'] > 1).sum()} of"
+    assert told in capsys.readouterr().err
+    assert made.rows["parts"].max() == 4
+    assert made.rows["steps"].sum() > 2 * made.time[-1] / 0.12
+    assert made.missed < 0.01
+
+
+def test_older_files_are_read(tmp_path):
+    """Schema 1 knew an exponent, relative to σ, and no parts of steps; its runs are starts."""
+    file = tmp_path / "run.h5"
+    made = pj.md.shear(**{**SMALL, "strain": 0.05}, exponent=2.5, output=file)
+    with atomic_h5(file, existing=True) as h5:
+        h5.attrs["schema"] = 1
+        h5["settings"].attrs["exponent"] = 2.5
+        del h5["settings"].attrs["potential"], h5["rows/parts"]
+    assert same(pj.md.read(file), made) == []
+    assert pj.md.read(file).state.potential_name == "hertzian-relative"
+    with pytest.raises(InputError, match=r"run\.h5: .*older petscjam"):
+        pj.md.shear(**SMALL, output=file, resume=True)
 
 
 def test_verbs(tmp_path, capsys):

@@ -303,10 +303,16 @@ def test_a_frame_holds_the_state(tmp_path):
     assert data[:, 11:13] == pytest.approx(np.array(local_maps(state)).T, rel=1e-6)
 
 
+@pytest.mark.parametrize("name", ["harmonic", "hertzian-relative", "power-3.0-relative"])
+def test_a_frame_says_how_its_disks_repel(tmp_path, name):
+    state = replace(flowing(16, 0.7), potential_name=name)
+    assert pj.import_packing(write_frame(state, tmp_path, 0)).potential_name == name
+
+
 def test_a_frame_is_a_packing_for_the_importer(tmp_path):
     state = flowing(100, 0.8, strain=-3.3)
     packing = pj.import_packing(write_frame(state, tmp_path, 0))
-    assert packing.potential_name == "harmonic-relative"
+    assert packing.potential_name == state.potential_name == "harmonic-relative"
     assert packing.box.cell == pytest.approx(state.box.cell)
     apart = state.box.minimum_image(packing.positions - state.positions)
     assert np.abs(apart).max() < 1e-9

@@ -1,8 +1,9 @@
 """Facts that a reduced model and its certificate obey: direct solves, dense algebra, integration in time."""
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from test_published import OMEGA, PRINTED, TABLE
 
 import petscjam as pj
 from petscjam import reference
-from petscjam.damping import LAWS
+from petscjam.damping import LAWS, DampingLaw
 from petscjam.kinematics import STRAINS
 
 DATA = Path(__file__).parent / "data"
@@ -1140,3 +1141,33 @@ def test_a_model_that_is_there_is_not_overwritten_unasked(tmp_path):
     with pytest.raises(pj.InputError, match="exists already"):
         pj.write_spectrum(model(sixteen()), tmp_path / "model.h5")
     pj.write_spectrum(model(sixteen()), tmp_path / "model.h5", overwrite=True)
+
+
+@dataclass(frozen=True)
+class Suspension(DampingLaw):
+    """Contacts in a viscous fluid: a law that says no more than it must."""
+
+    eta: float = 0.7
+    name: ClassVar[str] = "suspension"
+    normal: ClassVar[float] = 1.0
+
+    @property
+    def tangential(self):
+        return 0.5
+
+    @property
+    def fluid(self):
+        return self.eta
+
+
+@pytest.mark.parametrize("strain", ["simple-shear", "compression"])
+def test_a_new_law_with_a_fluid_counts_it_once(strain):
+    """The model adds it to what has none; solves at each frequency have it in B. Limits and times, too."""
+    packing, omegas, options = sixteen(), [1e-3, 1.0, 1e2], {"strain": strain, "damping": Suspension()}
+    direct = pj.complex_modulus(packing, omegas, **options)
+    model = pj.spectrum(packing, (1e-3, 1e2), rtol=1e-8, **options)
+    assert model(omegas) == pytest.approx(direct.values, rel=1e-7)
+    assert (model.eta0, model.eta_inf) == pytest.approx((direct.eta0, direct.eta_inf), rel=1e-6)
+    dry = pj.complex_modulus(packing, omegas, strain=strain, damping=Suspension(0.0))
+    added = 0.7j * np.array(omegas) * (strain == "simple-shear")
+    assert direct.values - dry.values == pytest.approx(added, abs=1e-9 * abs(direct.values).max())

@@ -62,10 +62,6 @@ class DampingLaw:
         """Viscosity of the fluid."""
         return 0.0
 
-    def without_fluid(self) -> DampingLaw:
-        """Return the law with the fluid gone: it adds iωηF to G*, and changes nothing else."""
-        return self
-
     def __str__(self) -> str:
         settings = ", ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
         return f"{self.name} ({settings})"
@@ -118,10 +114,6 @@ class StokesDrag(DampingLaw):
         """ηF."""
         return self.eta_fluid
 
-    def without_fluid(self) -> DampingLaw:
-        """Return the drag alone."""
-        return StokesDrag(0.0)
-
 
 LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
 
@@ -140,14 +132,18 @@ def viscous_form(
     strains: Sequence[StrainMode],
     law: DampingLaw,
     times: ArrayLike = 1.0,
+    *,
+    fluid: bool = True,
 ) -> Form:
     """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8).
 
-    ``times`` (C,), in τ1, multiplies the friction of each contact.
+    ``times`` (C,), in τ1, multiplies the friction of each contact. Without ``fluid`` its viscosity is left
+    out: it adds iωηF to G*, and changes nothing else.
     """
     weights = np.multiply.outer(np.broadcast_to(times, len(network)), [law.normal, law.tangential])
-    fluid = np.diag([law.fluid * network.area * mode.shears_fluid for mode in strains])
+    eta = law.fluid if fluid else 0.0
+    extra = np.diag([eta * network.area * mode.shears_fluid for mode in strains])
     return form(
         network, my_disks, strains, weights,
-        at_contact_point=law.at_contact_point, body=law.body, extra=fluid,
+        at_contact_point=law.at_contact_point, body=law.body, extra=extra,
     )  # fmt: skip

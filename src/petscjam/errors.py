@@ -9,6 +9,10 @@ class SolverError(RuntimeError):
     """A solve failed or its result cannot be trusted; the message says why. Exit status 1."""
 
 
+class DoubtfulWarning(UserWarning):
+    """A result is there, but its numbers are doubtful."""
+
+
 def shown(value: object) -> str:
     """Return ``repr(value)`` with Python's numbers for NumPy's, for a message: 1.4, not np.float64(1.4)."""
     if isinstance(value, tuple):

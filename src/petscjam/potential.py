@@ -1,17 +1,19 @@
-"""Repulsive contact potentials, by name: harmonic and Hertzian, each in two normalisations.
+"""Repulsive contact potentials, by name: harmonic, Hertzian and other powers, each in two normalisations.
 
-A potential is data: an exponent, and the scale of its energy as a function of the sum of radii.
+A potential is data: an exponent, and whether the overlap counts absolutely or relative to the sum of radii.
+No other spring constant would do in any unit of length.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
 from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.errors import InputError, shown
 
 
 @dataclass(frozen=True)
@@ -23,16 +25,20 @@ class Potential:
     name : str
     exponent : float
         α, at least 2.
-    spring_constant : callable
-        k as a function of σ (array in, array out).
+    relative : bool
+        Whether k(σ) is σ^−α, so that U = (δ/σ)^α / α, or 1.
     source : str
         Where it comes from.
     """
 
     name: str
     exponent: float
-    spring_constant: Callable[[Array], Array]
+    relative: bool
     source: str
+
+    def spring_constant(self, sigma: Array) -> Array:
+        """Return k for each σ."""
+        return sigma**-self.exponent if self.relative else np.ones_like(sigma)
 
     def unit(self, d: float) -> float:
         """Stiffness k(d) d^(α − 2) of disks whose overlap is their diameter ``d``."""
@@ -56,17 +62,38 @@ class Potential:
 POTENTIALS = {
     potential.name: potential
     for potential in (
-        Potential("harmonic", 2.0, lambda sigma: np.ones_like(sigma), "BT eq. 3 with k = 1"),
-        Potential("harmonic-relative", 2.0, lambda sigma: sigma**-2.0, "VOT eq. 1 with α = 2, ke = 1"),
-        Potential("hertzian", 2.5, lambda sigma: np.ones_like(sigma), "Hertz, with k = 1 at δ = d"),
-        Potential("hertzian-relative", 2.5, lambda sigma: sigma**-2.5, "VOT eq. 1 with α = 5/2, ke = 1"),
+        Potential("harmonic", 2.0, False, "BT eq. 3 with k = 1"),
+        Potential("harmonic-relative", 2.0, True, "VOT eq. 1 with α = 2, ke = 1"),
+        Potential("hertzian", 2.5, False, "Hertz, with k = 1 at δ = d"),
+        Potential("hertzian-relative", 2.5, True, "VOT eq. 1 with α = 5/2, ke = 1"),
     )
 }
 
 
+def power_law(exponent: float, relative: bool) -> Potential:
+    """Return the potential of an exponent; one without a name of its own is called ``power-α[-relative]``.
+
+    Raises
+    ------
+    InputError
+        If the exponent is not a number of at least 2.
+    """
+    if not (isfinite(exponent) and exponent >= 2):
+        raise InputError(f"potential: the exponent must be at least 2 and finite, not {shown(exponent)}")
+    for known in POTENTIALS.values():
+        if (known.exponent, known.relative) == (exponent, relative):
+            return known
+    name = f"power-{float(exponent)!r}{'-relative' * relative}"
+    return Potential(name, float(exponent), relative, f"VOT eq. 1 with α = {exponent:g}")
+
+
 def potential(name: str) -> Potential:
     """Return the potential called ``name``."""
-    try:
-        return POTENTIALS[name]
-    except KeyError:
-        raise InputError(f"potential: {name!r} is unknown; known are {', '.join(POTENTIALS)}") from None
+    found = re.fullmatch(r"power-(\d+\.\d+)(-relative)?", name)
+    law = power_law(float(found[1]), bool(found[2])) if found else POTENTIALS.get(name)
+    if law is None or law.name != name:
+        known = ", ".join(POTENTIALS)
+        raise InputError(
+            f"potential: {name!r} is unknown; known are {known}, power-3.0, power-3.0-relative, …"
+        )
+    return law

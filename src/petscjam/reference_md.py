@@ -79,12 +79,13 @@ def touching(state):
 
 def contacts(state, model):
     """Yield every contact with its forces (VOT eqs. 2–7), the damping split in normal and tangential."""
+    alpha = model.potential.exponent
     for i, j, r, v in touching(state):
         Ri, Rj, wi, wj = state.radii[i], state.radii[j], state.spins[i], state.spins[j]
         d, distance = Ri + Rj, hypot(*r)
         normal = r / distance
         tangent = turned(normal)
-        elastic = (1 - distance / d) ** (model.exponent - 1) / d * normal
+        elastic = stiffness(d, model) * (d - distance) ** (alpha - 1) * normal
         s_ji, s_ij = -r * Ri / d, r * Rj / d  # from the centres of i and of j to the contact point
         if not model.rolls:
             s_ji, s_ij = 0 * r, 0 * r
@@ -92,6 +93,11 @@ def contacts(state, model):
         dissipative = -model.normal * (slip @ normal) * normal - model.tangential * (slip @ tangent) * tangent
         torques = cross(s_ji, dissipative), cross(s_ij, -dissipative)
         yield Contact(i, j, r, v, elastic, dissipative, *torques, -dissipative @ slip)
+
+
+def stiffness(d, model):
+    """Return k of V = k (d − r)^α / α: ke/d^α in VOT eq. 1, or the same for every pair."""
+    return d**-model.potential.exponent if model.potential.relative else 1.0
 
 
 def disk_forces(state, model):
@@ -115,18 +121,19 @@ def pressure_tensor(state, model, masses=1.0):
     for c in contacts(state, model):
         elastic += np.outer(c.elastic, c.r)
         dissipative += np.outer(c.dissipative, c.r)
+    dissipative -= model.fluid * state.rate * state.length**2 * np.array([[0, 1], [1, 0]])
     for m, v in zip(np.broadcast_to(masses, len(state)), peculiar(state), strict=True):
         kinetic += m * np.outer(v, v)
     return elastic / state.length**2, dissipative / state.length**2, kinetic / state.length**2
 
 
 def dissipation(state, model):
-    """Return the power turned into heat, by contacts and by the fluid.
+    """Return the power turned into heat, by contacts, by drag, and in the fluid between the disks.
 
     With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the
     couple that holds the fluid's vorticity.
     """
-    heat = sum(c.heat for c in contacts(state, model))
+    heat = sum(c.heat for c in contacts(state, model)) + model.fluid * state.rate**2 * state.length**2
     for v, spin in zip(peculiar(state), state.spins, strict=True):
         heat += model.body * v @ v + model.spin_drag * (spin + state.rate / 2) ** 2
     return heat
@@ -139,9 +146,10 @@ def inertia(state, masses=1.0):
 
 def energy(state, model, masses=1.0):
     """Return elastic (VOT eq. 1), peculiar kinetic and rotational energy, together."""
-    total = 0.0
+    total, alpha = 0.0, model.potential.exponent
     for i, j, r, _ in touching(state):
-        total += (1 - hypot(*r) / (state.radii[i] + state.radii[j])) ** model.exponent / model.exponent
+        d = state.radii[i] + state.radii[j]
+        total += stiffness(d, model) * (d - hypot(*r)) ** alpha / alpha
     kinetic = masses * np.sum(peculiar(state) ** 2, axis=1) / 2
     return total + np.sum(kinetic + inertia(state, masses) * state.spins**2 / 2)
 

@@ -125,8 +125,8 @@ def describe_run(run: Run) -> str:
     s, rows = run.settings, run.rows
     lines = [
         "units: ds, m, tau_e; means ± standard errors leave out the first quarter",
-        f"{s['model']}, {s['particles']} disks, phi = {s['phi']:.6g}, Q = {s['Q']:g}; {s['protocol']}, "
-        f"dt = {s['dt']:.4g}, {s['integrator']}; start: {s['start']}",
+        f"{s['model']}, {s['potential']}, {s['particles']} disks, phi = {s['phi']:.6g}, Q = {s['Q']:g}; "
+        f"{s['protocol']}, dt = {s['dt']:.4g}, {s['integrator']}; start: {s['start']}",
         f"strain {s['strain0']:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
     ]  # fmt: skip
@@ -148,7 +148,11 @@ def describe_run(run: Run) -> str:
             )
     heat, missed = rows["heat"].sum(), rows["imbalance"].sum()
     lines.append(f"energy budget: {heat:.4g} dissipated, {missed:.1e} unaccounted for")
-    return "\n".join(lines)
+    if (parts := rows["parts"].max()) > 1:
+        more = rows["steps"].sum() / (run.time[-1] - s["time0"]) * s["dt"]
+        where = "parts where contacts demand it"
+        lines.append(f"time steps divided into up to {parts:.0f} {where}: {more:.4g} times as many")
+    return "\n".join([*lines, *(f"WARNING: {text}" for text in run.warnings)])
 
 
 def describe_runs(runs: Mapping[str, Run]) -> str:
@@ -162,6 +166,7 @@ def describe_runs(runs: Mapping[str, Run]) -> str:
         values = [f"{m.value:.4g} ± {m.error:.1g}" if m else "too short" for m in means]
         row = [f"{name:{width}}", f"{run.strain[-1]:8.4g}", *(f"{value:>20}" for value in values)]
         lines.append(" ".join(row))
+        lines += [f"{'':{width}} WARNING: {text}" for text in run.warnings]
     return "\n".join(lines)
 
 

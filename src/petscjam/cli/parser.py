@@ -149,7 +149,7 @@ def build_parser() -> Parser:
         metavar="RANGE",
         help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
     )
-    p.add_argument("--strain", type=number, default=1.0, metavar="X",
+    p.add_argument("--strain", type=number, metavar="X",
                    help="lammps: how far its input shears (default 1)")  # fmt: skip
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
@@ -256,7 +256,7 @@ def build_parser() -> Parser:
     p.add_argument("--strain", type=number, metavar="X", help="to shear by (default 10)")
     p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…",
                    help="go on at other strain rates; 0:TIME is rest, for a time in tau_e")  # fmt: skip
-    p.add_argument("--bulk", choices=BULK, default="scale",
+    p.add_argument("--bulk", choices=BULK,
                    help="what a change of the strain rate does at once: scale velocities and spins, add the "
                         "change of the linear profile, or move the edge alone (default scale)")  # fmt: skip
     p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES",
@@ -337,9 +337,10 @@ def disks(p: Parser) -> None:
                    help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
                    )  # fmt: skip
     p.add_argument("--dt", type=number, metavar="X",
-                   help="time step in tau_e (default 0.05, or 2/3 of the largest stable one)")  # fmt: skip
-    p.add_argument("--exponent", type=number, default=2.0, metavar="X",
-                   help="of the repulsion V ~ overlap^X (default 2)")  # fmt: skip
+                   help="time step in tau_e, divided where the contacts demand it (default: one that keeps "
+                        "the energy budget within 1 percent, at most 0.05)")  # fmt: skip
+    p.add_argument("--exponent", type=number, metavar="X",
+                   help="of the repulsion V ~ overlap^X (default 2, or that of --start)")  # fmt: skip
     p.add_argument("--drag", type=number, default=0.0, metavar="X",
                    help="Stokes drag on disks, in m/tau_e (default 0)")  # fmt: skip
     p.add_argument("--spin-drag", type=number, default=0.0, metavar="X",

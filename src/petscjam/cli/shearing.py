@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import warnings
+from pathlib import Path
 from typing import Any
 
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import say
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import DoubtfulWarning, InputError, SolverError
 from petscjam.parallel.comm import on_root
 
 
@@ -15,8 +18,11 @@ def shear(options: argparse.Namespace, comm: Any) -> None:
     """Shear disks at a steady rate, in steps, or back and forth; one run, or a grid of them."""
     from petscjam.md import protocols
 
-    if options.oscillate and (options.then or options.rate or options.strain):
-        raise InputError("shear: --oscillate goes without --rate, --strain and --then")
+    if options.oscillate and (options.then or options.rate or options.strain or options.bulk):
+        raise InputError("shear: --oscillate goes without --rate, --strain, --then and --bulk")
+    if options.bulk and not (options.then or options.start):
+        raise InputError("shear: --bulk goes with --then or --start: else the strain rate does not change")
+    bulk = options.bulk or "scale"
 
     def protocol(rate: float) -> protocols.Protocol:
         if options.oscillate:
@@ -24,8 +30,8 @@ def shear(options: argparse.Namespace, comm: Any) -> None:
         strain = 10.0 if options.strain is None else options.strain
         if options.then:
             rates, strains = zip(*options.then, strict=True)
-            return protocols.steps([rate, *rates], [strain, *strains], options.bulk)
-        return protocols.steady(rate, strain)
+            return protocols.steps([rate, *rates], [strain, *strains], bulk)
+        return protocols.steady(rate, strain, bulk)
 
     _work(options, comm, protocol, [0.0] if options.oscillate else options.rate or [1e-4])
 
@@ -63,9 +69,18 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
         common["start"] = read_lammps(options.start)
 
     def work(rate: float, **settings: Any) -> Any:
-        return run(protocol(rate), **common, **settings)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtfulWarning)  # they are told with the name of the file
+            return run(protocol(rate), **common, **settings)
+
+    def log(file: Path, done: Any) -> None:
+        print(file, flush=True)
+        for text in done.warnings:
+            print(f"petscjam: warning: {file}: {text}", file=sys.stderr, flush=True)
 
     start = options.start is not None
+    if start and options.seeds:
+        raise InputError(f"{options.verb}: --seeds goes without --start: nothing would be random")
     sizes = options.particles or [None if start else 1024]
     phis = options.phi or [None if start else 0.82]
     seeds = options.seeds or [1 if options.seed is None else options.seed]
@@ -78,7 +93,8 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
                     **vars(points[0]), output=options.output, resume=options.resume,
                     overwrite=options.overwrite, progress=report,
                 )  # fmt: skip
-            return f"{options.output}\n{describe_run(done)}"
+            log(options.output, done)
+            return describe_run(done)
 
         say(comm, on_root(comm, one))
         return
@@ -87,7 +103,7 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
     with progress(options.verb, show=comm.rank == 0) as report:
         made, failures = run_grid(
             points, options.output, work, comm=comm, resume=options.resume, overwrite=options.overwrite,
-            progress=report, log=lambda file, _: print(file, flush=True),
+            progress=report, log=log,
         )  # fmt: skip
     say(comm, f"{made} of {len(points)} runs: {options.output}")
     if failures:

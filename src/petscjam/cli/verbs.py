@@ -195,6 +195,8 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         if is_run(options.file):
             print(_export_run(options))
             return
+        if options.strain is not None:
+            raise InputError("export: --strain goes with a sheared run")
         curve = is_result(options.file)
         known, kind = (CURVES, "result") if curve else (PICTURES, "packing")
         default = "csv" if curve else "xyz"
@@ -234,12 +236,19 @@ def _export_run(options: argparse.Namespace) -> Path:
     fmt = format_of(options.output or "", options.to, "csv")
     target: Path = options.output or options.file.with_suffix(f".{fmt}")
     run = read(options.file)
+    if options.group or options.average or options.omega is not None or options.time is not None:
+        raise InputError("export: --group, --average, --omega and --time go with results")
+    if options.strain is not None and fmt != "lammps":
+        raise InputError("export: --strain goes with --to lammps")
     if fmt == "csv":
         export_csv(run, target, overwrite=options.overwrite)
     elif fmt == "lammps":
+        model, dt = model_of(run.settings), run.settings["dt"]
+        divided = run.rows["parts"].max() > 1
         write_lammps(
-            run.state, model_of(run.settings), target, rate=run.state.rate, strain=options.strain,
-            dt=run.settings["dt"], overwrite=options.overwrite,
+            run.state, model, target, rate=run.state.rate,
+            strain=1.0 if options.strain is None else options.strain,
+            dt=None if divided or dt > model.step(None, "heun") else dt, overwrite=options.overwrite,
         )  # fmt: skip
     else:
         raise InputError(f"export: {options.file} is a sheared run; its formats are csv, lammps, not {fmt}")

@@ -19,8 +19,10 @@ import numpy as np
 
 from petscjam.box import Array
 from petscjam.errors import InputError, shown
-from petscjam.md.model import Model
+from petscjam.md.model import Model, stable_step
+from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
+from petscjam.potential import Potential
 from petscjam.storage import check_output, naming, write_atomically
 from petscjam.values import parsed, parsed_whole
 
@@ -45,6 +47,7 @@ COLUMNS = "id type x y vx vy omegaz radius"
 IN_SHEAR = """\
 # {name}, Q = {Q:g}, in ds, m and tau_e. strain and time are those of disks.data.
 # Only steps, every and skin may be set otherwise: lmp -var skin 0.2 -in in.shear
+variable potential index {potential}
 {settings}
 log shear.log
 {disks}
@@ -120,7 +123,8 @@ def write_lammps(
     strain : float
         How far to shear from here, > 0, rounded up to whole time steps.
     dt : float
-        Time step in τe; left out, as in :meth:`petscjam.md.model.Model.step`.
+        Time step in τe; left out, as in :meth:`petscjam.md.model.Model.step`, or less if the contacts of
+        ``state`` demand it. LAMMPS does not divide it when later ones do.
     every : int
         Time steps from one row and frame to the next; left out, a hundredth of the run.
     overwrite : bool
@@ -132,9 +136,11 @@ def write_lammps(
         If LAMMPS cannot express the model, a number is wrong, dt is too large or a file cannot be written.
     """
     for value, good, what in (
-        (model.exponent, model.exponent == 2, "the exponent 2 only, not"),
+        (model.potential.exponent, model.potential.exponent == 2, "the exponent 2 only, not"),
         (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
+        (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
         (model.spin_drag, model.spin_drag == 0, "no drag on rotations, but there is"),
+        (model.normal, model.normal > 0, "tangential damping beside normal damping only, which is"),
         (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
     ):
         if not good:
@@ -145,7 +151,14 @@ def write_lammps(
     ):
         if not (good and isfinite(value)):
             raise InputError(f"lammps: {name} must be {what} and finite, not {shown(value)}")
-    dt = model.step(dt, "heun")  # its limit is that of LAMMPS's step, too: dt times the fastest rate is 2
+    # With damping from velocities half a step old dt is stable if dt λ/2 + dt² κ/4 ≤ 1.
+    relaxation, oscillation = Simulation(state, model).fastest()
+    largest = stable_step("single", relaxation / 2, oscillation)
+    dt = min(model.step(None, "heun"), largest) if dt is None else model.step(dt, "heun")
+    if dt > largest:
+        raise InputError(
+            f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}"
+        )
     steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
     if every is None:
         every = max(1, steps // FRAMES)
@@ -155,17 +168,19 @@ def write_lammps(
     start = replace(state, velocities=velocities, rate=rate).wrapped()
     settings = {"rate": start.rate, "dt": dt, "strain": start.strain, "time": start.time, "steps": steps,
                 "every": int(every), "skin": 0.1}  # fmt: skip
+    potential = model.potential
     texts = {
         "disks.data": _data(start, model.rolls),
         "in.shear": IN_SHEAR.format(
             name=model.name,
             Q=model.Q,
+            potential=potential.name,
             settings="\n".join(f"variable {name} index {value}" for name, value in settings.items()),
-            disks=_disks(start.radii, model.normal, model.tangential / model.normal),
+            disks=_disks(start.radii, potential, model.normal, model.tangential / model.normal),
             integrator="nve/sphere disc" if model.rolls else "nve",
             columns=COLUMNS,
         ),
-        "in.elastic": IN_ELASTIC.format(disks=_disks(start.radii, 0.0, 0.0)),
+        "in.elastic": IN_ELASTIC.format(disks=_disks(start.radii, potential, 0.0, 0.0)),
     }
     with naming(folder):
         Path(folder).mkdir(exist_ok=True)
@@ -196,6 +211,7 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
     source = path.with_name("in.shear")
     with naming(source):
         found = dict(re.findall(r"^variable (\w+) index (\S+)$", source.read_text(), re.MULTILINE))
+        potential = found.get("potential", "harmonic-relative")  # older input knew no other
         try:
             rate, dt, strain, time = (parsed(found[name]) for name in ("rate", "dt", "strain", "time"))
         except (KeyError, ValueError) as error:
@@ -226,7 +242,8 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
         elapsed, tilt = step * dt, xy / length
         strain = tilt + round(strain + rate * elapsed - tilt)  # LAMMPS keeps the tilt between −1/2 and 1/2
         return State(
-            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed
+            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed,
+            potential,
         )  # fmt: skip
 
 
@@ -256,13 +273,12 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
         return dict(zip(names, np.reshape(rows, (len(rows), len(names))).T, strict=True))
 
 
-def _disks(radii: Array, normal: float, ratio: float) -> str:
+def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> str:
     """Return the commands up to the forces: damping ``normal``, and ``ratio`` times as much tangentially."""
-    diameters = (2 * np.unique(radii)).tolist()
     pairs = [
-        f"pair_coeff {a} {b} hooke {4 / (da + db) ** 2} {normal} damping velocity "
+        f"pair_coeff {a} {b} hooke {potential.spring_constant(ra + rb)} {normal} damping velocity "
         f"tangential linear_nohistory {ratio} 1.0e30"
-        for (a, da), (b, db) in combinations_with_replacement(enumerate(diameters, 1), 2)
+        for (a, ra), (b, rb) in combinations_with_replacement(enumerate(np.unique(radii), 1), 2)
     ]
     return DISKS.format(pairs="\n".join(pairs))
 

@@ -13,9 +13,9 @@ import numpy as np
 from petscjam.box import Array
 from petscjam.md import kernels
 from petscjam.md.frames import write_frame
-from petscjam.md.kernels import BINS
+from petscjam.md.kernels import BINS, TICKS
 from petscjam.md.protocols import Protocol
-from petscjam.md.result import BLOCKS, ROWS, Run, write_run
+from petscjam.md.result import BLOCKS, MISSED, ROWS, Run, write_run
 from petscjam.md.simulation import Simulation
 from petscjam.progress import Report
 from petscjam.storage import atomic_h5, group
@@ -77,7 +77,7 @@ class Book:
         return self.run
 
     def _row(self, s: Simulation, protocol: Protocol, steps: int) -> None:
-        before, rebuilds = sum(s.energy()), s.rebuilds
+        before, rebuilds, substeps = sum(s.energy()), s.rebuilds, s.substeps
         edges = np.linspace(0, steps, min(LOOKS, steps) + 1).astype(int)
         looked = np.zeros(7)
         mean_rate = 0.0
@@ -90,6 +90,7 @@ class Book:
             scatter = self._scatter[self._looks]
             looked += s.observe(self._layers, self._moments, scatter)
             self._looks += 1
+        parts = s.most
         total, counts, angles = s.collect()
         self._angles += angles
         self._pairs += looked[6]
@@ -103,11 +104,11 @@ class Book:
             "contacts": 2 * mean[kernels.TOUCHING] / n, "energy": sum(s.energy()),
             "work": total[kernels.WORK] * s.dt, "heat": total[kernels.HEAT] * s.dt,
             "jumps": total[kernels.JUMPS],
-            "made": counts[0], "broken": counts[1], "duration": counts[2] * s.dt,
+            "made": counts[0], "broken": counts[1], "duration": counts[2] * s.dt / TICKS,
             "spin": spin, "spin_variance": looked[1] / (n * looks) - spin**2,
             "dvx2": looked[2] / (n * looks), "vy2": looked[3] / (n * looks),
             "normal2": looked[4] / contacts, "tangential2": looked[5] / contacts,
-            "steps": steps, "rebuilds": s.rebuilds - rebuilds,
+            "steps": s.substeps - substeps, "parts": parts, "rebuilds": s.rebuilds - rebuilds,
         }  # fmt: skip
         values["imbalance"] = values["energy"] - before - values["work"] - values["jumps"] + values["heat"]
         for name in ROWS:
@@ -140,7 +141,9 @@ class Book:
     def _text(self) -> str:
         last = {name: values[-1] for name, values in self.rows.items()}
         pressure = (last["elastic_xx"] + last["elastic_yy"]) / 2
-        return f"strain {last['strain']:.4g}, P_el {pressure:.3g}, Z {last['contacts']:.3g}"
+        heat, missed = (sum(self.rows[name]) for name in ("heat", "imbalance"))
+        doubt = f", budget misses {abs(missed / heat):.1%} of the heat" if abs(missed) > MISSED * heat else ""
+        return f"strain {last['strain']:.4g}, P_el {pressure:.3g}, Z {last['contacts']:.3g}{doubt}"
 
     @property
     def run(self) -> Run:

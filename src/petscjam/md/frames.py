@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from petscjam.md.fields import local_maps
-from petscjam.md.state import POTENTIAL, State
+from petscjam.md.state import State
 from petscjam.storage import naming, write_atomically
 
 SYMBOLS = "H", "He", "Li", "Be"  # species by size; still larger ones are of the last
@@ -52,7 +52,8 @@ def frame(state: State) -> bytes:
     lines = [
         str(len(state)),
         f'Lattice="{ax} {ay} 0 {bx} {by} 0 0 0 {2 * state.radii.max()}" Properties={COLUMNS} '
-        f'pbc="T T F" Time={state.time} strain={state.strain} rate={state.rate} potential={POTENTIAL}',
+        f'pbc="T T F" Time={state.time} strain={state.strain} rate={state.rate} '
+        f"potential={state.potential_name}",
         *(f"{SYMBOLS[s]} {row % tuple(some)}" for s, some in zip(species, values.tolist(), strict=True)),
     ]
     return "\n".join([*lines, ""]).encode()

@@ -21,17 +21,23 @@ BATCH = 256
 BINS = 100
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 HEUN, SINGLE = 0, 1
+TICKS = 1024  # a step: the finest parts that it can be divided into, a power of 2
 SUMS = 14
 (EXX, EXY, EYY, DXX, DXY, DYX, DYY, TOUCHING, HEAT, KXX, KXY, KYY, WORK, JUMPS) = range(SUMS)
 
 
 class Law(NamedTuple):
-    """A model as the kernel sees it. No exponent means 2: with a power the loop does not vectorise."""
+    """A model as the kernel sees it.
+
+    No exponent means 2: with a power the loop does not vectorise. Where overlaps count relative to σ, it is
+    not ``absolute``, but None.
+    """
 
     normal: float
     tangential: float
     rolls: float
     exponent: float | None
+    absolute: float | None
     body: float
     spin_drag: float
 
@@ -48,14 +54,14 @@ class Disks(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Contact events of each run, and of the rest: made, broken, steps touched; angles of both."""
+    """Contact events of each run, and of the rest: made, broken, ticks touched; angles of both."""
 
     counts: NDArray[np.int64]
     angles: NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent):
+def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent, absolute):
     """Return elastic force over distance, damping force on i, and 1 if they touch.
 
     r and u are position and velocity of j against i, u at the contact point if the law rolls.
@@ -68,7 +74,11 @@ def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent):
     along = (normal - tangential) * (ux * rx + uy * ry) * near * near
     gx = touch * (tangential * ux + along * rx)
     gy = touch * (tangential * uy + along * ry)
-    return spring * inverse * near, gx, gy, touch
+    if absolute is None:
+        spring *= inverse
+    else:
+        spring /= inverse if exponent is None else inverse ** (exponent - 1.0)
+    return spring * near, gx, gy, touch
 
 
 @njit(cache=True, error_model="numpy")
@@ -84,31 +94,32 @@ def separation(c, q, pairs, L, strain, rate):
 
 
 @njit(cache=True, error_model="numpy")
-def _event(c, q, pairs, L, strain, rate, step, counts, angles):
+def _event(c, q, pairs, L, strain, rate, tick, counts, angles):
     """Book that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
     x, y, vx, vy = separation(c, q, pairs, L, strain, rate)
     angle = np.arctan2(vx * y - vy * x, vx * x + vy * y)  # the signs of rji and vji cancel
     bin = min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
     if pairs.touching[c]:
         counts[1] += 1
-        counts[2] += step - pairs.since[c]
+        counts[2] += tick - pairs.since[c]
         angles[1, bin] += 1
         pairs.touching[c] = 0
     else:
         counts[0] += 1
         angles[0, bin] += 1
         pairs.touching[c] = 1
-        pairs.since[c] = step
+        pairs.since[c] = tick
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, step, sums, events):
+def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, tick, sums, events):
     """Add a range of pairs, in batches: in scratch arrays, overwritten, the main loop vectorises.
 
     ``part`` is the row of ``sums`` and ``events`` that they belong to; those of the last one have images.
     """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
-    normal, tangential, rolls, exponent = law.normal, law.tangential, law.rolls, law.exponent
+    normal, tangential, rolls = law.normal, law.tangential, law.rolls
+    exponent, absolute = law.exponent, law.absolute
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
     images = pairs.runs[-1]
     for start in range(first, last, BATCH):
@@ -130,7 +141,9 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, st
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent)
+                spring, gx, gy, touch = _contact(
+                    x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute
+                )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c], V[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx), touch
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
@@ -149,7 +162,7 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, st
                             L,
                             strain,
                             rate,
-                            step,
+                            tick,
                             events.counts[part],
                             events.angles[part],
                         )
@@ -157,7 +170,9 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, st
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent)
+                spring, gx, gy, touch = _contact(
+                    x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute
+                )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx)
         for c in range(n):
@@ -278,24 +293,24 @@ def jump(q, m, L, old, new, bulk):
 
 
 @njit(cache=True, error_model="numpy")
-def _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events):
+def _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events):
     """Add the forces inside a run."""
     first, last = pairs.runs[run], pairs.runs[run + 1]
-    _add_pairs(run, first, last, q, F, pairs, law, 0.0, 0.0, 0.0, measure, step, sums, events)
+    _add_pairs(run, first, last, q, F, pairs, law, 0.0, 0.0, 0.0, measure, tick, sums, events)
     if law.body != 0.0 or law.spin_drag != 0.0:
         _drag(run, q, F, disks.R, law, rate, sums)
 
 
 @njit(cache=True)
-def _force_runs(q, F, disks, pairs, law, rate, measure, step, sums, events):
+def _force_runs(q, F, disks, pairs, law, rate, measure, tick, sums, events):
     for run in range(len(pairs.runs) - 1):
-        _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events)
+        _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events)
 
 
 @njit(cache=True, parallel=True)
-def _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, events):
+def _force_runs_threaded(q, F, disks, pairs, law, rate, measure, tick, sums, events):
     for run in prange(len(pairs.runs) - 1):
-        _force_run(run, q, F, disks, pairs, law, rate, measure, step, sums, events)
+        _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events)
 
 
 @njit(cache=True)
@@ -323,55 +338,58 @@ def _correct_runs_threaded(disks, dt, scheme, runs):
 
 
 @njit(cache=True, error_model="numpy")
-def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, step, sums, events):
+def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, tick, sums, events):
     """Add all forces on disks at ``q`` to ``F``.
 
     With ``measure``, sums over pairs and disks go to ``sums`` (one row a run, the last for the rest), and
     contacts that begin or cease to touch to ``events``.
     """
-    if threads:
-        _force_runs_threaded(q, F, disks, pairs, law, rate, measure, step, sums, events)
+    if threads is not None:
+        _force_runs_threaded(q, F, disks, pairs, law, rate, measure, tick, sums, events)
     else:
-        _force_runs(q, F, disks, pairs, law, rate, measure, step, sums, events)
+        _force_runs(q, F, disks, pairs, law, rate, measure, tick, sums, events)
     last, first, end = len(pairs.runs) - 1, pairs.runs[-1], len(pairs.i)
-    _add_pairs(last, first, end, q, F, pairs, law, L, strain, rate, measure, step, sums, events)
+    _add_pairs(last, first, end, q, F, pairs, law, L, strain, rate, measure, tick, sums, events)
 
 
 @njit(cache=True, error_model="numpy")
-def book(sums, rate, total):
-    """Add the sums of all runs, and the power of the shear stress, to ``total``."""
+def book(sums, rate, weight, total):
+    """Add ``weight`` times the sums of all runs, and the power of the shear stress, to ``total``."""
     shear = 0.0
     for name in range(WORK):
         value = sums[:, name].sum()
-        total[name] += value
+        total[name] += weight * value
         if name in (EXY, DXY, KXY):
             shear += value
-    total[WORK] += sums[:, WORK].sum() - rate * shear
+    total[WORK] += weight * (sums[:, WORK].sum() - rate * shear)
 
 
 @njit(cache=True, error_model="numpy")
 def advance(
-    disks, pairs, law, L, dt, scheme, strains, rates, bulk, built, skin, threads, step, sums, events, total
-):
-    """Make steps as long as the list of pairs holds.
+    disks, pairs, law, L, dt, parts, scheme, strains, rates, bulk, built, skin, threads, tick, sums, events,
+    total,
+):  # fmt: skip
+    """Make parts of steps as long as the list of pairs holds.
 
     Parameters
     ----------
+    parts : int
+        Parts of each step.
     strains : (K + 1,)
-        At the beginnings of steps, and at the end of the last.
+        At the beginnings of parts, and at the end of the last.
     rates : (K + 1,)
-        Before the first step, and in each. ``bulk`` says what a change does (:func:`jump`).
+        Before the first part, and in each. ``bulk`` says what a change does (:func:`jump`).
     built, skin : float
         Strain at which the list was built, and its skin.
-    step : int
-        Number of the first step.
+    tick : int
+        Moment of the beginning, in :data:`TICKS` a step.
     total : (SUMS,)
-        Gets the sums of each step: at its beginning (HEUN) or end (SINGLE).
+        Gets the sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``.
 
     Returns
     -------
     int
-        Steps made: less than K if a new list is needed first.
+        Parts made: less than K if a new list is needed first.
     """
     q, p, F = disks.q, disks.p, disks.F
     runs = len(pairs.runs) - 1
@@ -379,33 +397,40 @@ def advance(
     reach = 2.0 * disks.R.max()
     F[:] = 0.0
     fresh = True
+    dt /= parts
+    weight, ticks = 1.0 / parts, TICKS // parts
     for k in range(len(rates) - 1):
-        rate = rates[k + 1]
-        if rate != rates[k]:
+        rate, now = rates[k + 1], tick + k * ticks
+        change = rate - rates[k]
+        if change != 0.0:
             total[JUMPS] += jump(q, disks.m, L, rates[k], rate, bulk)
             rates[k] = rate
             F[:] = 0.0
             fresh = True
         if scheme == HEUN or fresh:
-            forces(
-                q, F, disks, pairs, law, L, strains[k], rate, threads, scheme == HEUN, step + k, sums, events
-            )
+            look = scheme == HEUN or change != 0.0
+            forces(q, F, disks, pairs, law, L, strains[k], rate, threads, look, now, sums, events)
             fresh = False
+        if change != 0.0:  # the stress belongs to the part before and to this one, in equal shares
+            kinetic(q, disks.m, rate, sums)
+            shear = sums[:, EXY].sum() + sums[:, DXY].sum() + sums[-1, KXY]
+            total[WORK] += (0.5 if scheme == HEUN else -0.5) * weight * change * shear
+            sums[-1, KXX:WORK] = 0.0
         shear = strains[k + 1] - built
         room = 0.5 * (skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
-        if threads:
+        if threads is not None:
             _predict_runs_threaded(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
         else:
             _predict_runs(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
         if room <= 0.0 or left.sum() > 0:
             return k
         if scheme == HEUN:
-            book(sums, rate, total)
+            book(sums, rate, weight, total)
         last = scheme == SINGLE
-        forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, step + k + 1, sums, events)
+        forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, now, sums, events)
         if last:
-            book(sums, rate, total)
-        if threads:
+            book(sums, rate, weight, total)
+        if threads is not None:
             _correct_runs_threaded(disks, dt, scheme, runs)
         else:
             _correct_runs(disks, dt, scheme, runs)
@@ -413,14 +438,75 @@ def advance(
 
 
 @njit(cache=True, error_model="numpy")
-def elastic_energy(q, pairs, exponent, L, strain):
-    """Energy Σ (1 − r/σ)^α/α of the contacts (VOT eq. 1)."""
+def fastest(q, R, m, pairs, law, exponent, L, strain):
+    """Bound the largest eigenvalues of M⁻¹B and of M⁻¹K, from the contacts at this moment.
+
+    Of a relative velocity, |vi − vj|² ≤ (1 + zj/zi)|vi|² + (1 + zi/zj)|vj|² with the numbers of contacts z,
+    so the forms of all disks come apart (docs/theory.md, Largest time steps). Pre-stress only lowers K.
+
+    Returns
+    -------
+    relaxation, oscillation : float
+        In 1/τe, and squared in 1/τe².
+    """
+    n, inverse, images = len(q), pairs.inverse, pairs.runs[-1]
+    z, X, Y = np.zeros(n), np.empty(len(inverse)), np.empty(len(inverse))
+    # of each disk Σ w, Σ w cos 2φ, Σ w sin 2φ, the same with the stiffness, Σ w ρ t, Σ w ρ²
+    s = np.zeros((n, 9))
+    for c in range(len(inverse)):
+        a, b = pairs.i[c], pairs.j[c]
+        X[c], Y[c] = (q[b, 0] - q[a, 0]) * inverse[c], (q[b, 1] - q[a, 1]) * inverse[c]
+        if c >= images:
+            X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * strain) * L * inverse[c]
+            Y[c] += pairs.ny[c - images] * L * inverse[c]
+        if X[c] * X[c] + Y[c] * Y[c] < 1.0:
+            z[a] += 1.0
+            z[b] += 1.0
+    for c in range(len(inverse)):
+        x, y = X[c], Y[c]
+        square = x * x + y * y
+        if square < 1.0:
+            a, b, sign = pairs.i[c], pairs.j[c], 1.0
+            cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
+            k = inverse[c] * inverse[c] if law.absolute is None else 1.0
+            if exponent != 2.0:
+                k *= (exponent - 1.0) * (1.0 - np.sqrt(square)) ** (exponent - 2.0)
+                if law.absolute is not None:
+                    k *= inverse[c] ** (2.0 - exponent)
+            for _ in range(2):
+                w = 1.0 + z[b] / z[a]
+                s[a, 0] += w
+                s[a, 1] += w * cos
+                s[a, 2] += w * sin
+                s[a, 3] += w * k
+                s[a, 4] += w * k * cos
+                s[a, 5] += w * k * sin
+                s[a, 6] += sign * w * x
+                s[a, 7] += sign * w * y
+                s[a, 8] += w * square
+                a, b, sign = b, a, -1.0
+    relaxation = oscillation = 0.0
+    for a in range(n):
+        along = 0.5 * (law.normal + law.tangential) * s[a, 0] + law.body
+        along += 0.5 * abs(law.normal - law.tangential) * np.sqrt(s[a, 1] ** 2 + s[a, 2] ** 2)
+        turning = 2.0 * law.rolls * law.tangential * s[a, 8] + 2.0 * law.spin_drag / R[a] ** 2
+        both = 8.0 * (law.rolls * law.tangential) ** 2 * (s[a, 6] ** 2 + s[a, 7] ** 2)
+        rate = 0.5 * (along + turning + np.sqrt((along - turning) ** 2 + both)) / m[a]
+        relaxation = max(relaxation, rate)
+        oscillation = max(oscillation, 0.5 * (s[a, 3] + np.sqrt(s[a, 4] ** 2 + s[a, 5] ** 2)) / m[a])
+    return relaxation, oscillation
+
+
+@njit(cache=True, error_model="numpy")
+def elastic_energy(q, pairs, law, exponent, L, strain):
+    """Energy Σ k δ^α/α of the contacts (VOT eq. 1)."""
     energy = 0.0
     for c in range(len(pairs.i)):
         x, y, _, _ = separation(c, q, pairs, L, strain, 0.0)
         overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
         if overlap > 0.0:
-            energy += overlap**exponent / exponent
+            scale = 1.0 if law.absolute is None else pairs.inverse[c] ** -exponent
+            energy += scale * overlap**exponent / exponent
     return energy
 
 

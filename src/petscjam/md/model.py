@@ -1,4 +1,4 @@
-"""The models of sheared disks: a damping law, how strong it is, and how large a time step it bears.
+"""The models of sheared disks: a repulsion, a damping law, how strong it is, and the time step.
 
 Units are those of VOT: the diameter ds of a small disk, the mass m and the time τe are 1, so ke is, too.
 """
@@ -7,24 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import isfinite
+from math import inf, isfinite, sqrt
 from typing import Any
 
 from petscjam.damping import LAWS, ContactDamping, DampingLaw
 from petscjam.errors import InputError, shown
+from petscjam.potential import POTENTIALS, Potential, potential
 
 MODELS: dict[str, DampingLaw] = {
     "CD": ContactDamping(beta=1.0, rotations=False),  # VOT eq. 3
     "CD_rot": ContactDamping(beta=1.0, rotations=True),  # VOT eqs. 5–7
     "CD_n": ContactDamping(beta=0.0, rotations=False),  # VOT sec. II B, kd(t) = 0
 }
-# The largest rate of relaxation, in units of the friction coefficient of a contact, of a disk in the densest
-# flow (measured, docs/design/0015), and the largest product of rate and time step of each integrator.
-AT_CENTRES, AT_CONTACT_POINT = 7.7, 19.2
-INTEGRATORS = {"heun": 2.0, "single": 1.0}
+INTEGRATORS = {"heun": 2.0, "single": 1.0}  # the largest stable product of a rate of relaxation and dt
 BULK = {"boundary": 0, "scale": 1, "profile": 2}  # what a change of the strain rate does to the disks
-LARGEST_STEP = 0.2  # τe: the elastic forces, however weak the damping
+LARGEST_STEP = 0.2  # τe: a collision of two disks of diameter ds lasts 2.2 τe
 STEP = 0.05  # τe, VOT sec. II D
+# The largest products of dt and the rates of relaxation of two disks that touch, normal and tangential, with
+# which the energy budget misses less than 1 % of the heat (measured, docs/design/0015).
+ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Model:
         The law of the linear response, with kτ1 = kd = 1/Q.
     Q : float
         Elasticity of collisions Q = m/(kd τe) > 0 (VOT eq. 9).
-    exponent : float
-        α ≥ 2 of the repulsion (VOT eq. 1).
+    potential : Potential
+        Of the repulsion, in units in which its energy scale is 1 for disks of diameter ds (VOT eq. 1).
     drag, spin_drag : float
         Stokes drag, in m/τe and m ds²/τe: −ζ(v − γ̇ y x̂) on a disk and −ζr(θ̇ + γ̇/2) on its rotation.
 
@@ -50,14 +51,13 @@ class Model:
 
     law: DampingLaw
     Q: float
-    exponent: float = 2.0
+    potential: Potential = POTENTIALS["harmonic-relative"]
     drag: float = 0.0
     spin_drag: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value, good, what in (
             ("Q", self.Q, self.Q > 0, "above 0"),
-            ("exponent", self.exponent, self.exponent >= 2, "at least 2"),
             ("drag", self.drag, self.drag >= 0, "0 or more"),
             ("spin_drag", self.spin_drag, self.spin_drag >= 0, "0 or more"),
         ):
@@ -90,31 +90,56 @@ class Model:
         """Friction coefficient of a disk against the affine flow, in m/τe."""
         return self.law.body / self.Q + self.drag
 
+    @property
+    def fluid(self) -> float:
+        """Viscosity of the fluid between the disks, in m/τe."""
+        return self.law.fluid / self.Q
+
     def largest_step(self, integrator: str) -> float:
-        """Return the largest stable time step of ``integrator``, in τe."""
-        tangential = (AT_CONTACT_POINT if self.rolls else AT_CENTRES) * self.tangential
-        fastest = max(AT_CENTRES * self.normal, tangential) + max(self.body, 8 * self.spin_drag)
+        """Return the largest time step, in τe, that is stable while disks (m = 1) touch in pairs.
+
+        What more contacts demand is found on the way (:meth:`petscjam.md.simulation.Simulation.demand`).
+        """
+        normal, tangential = self._pair
+        fastest = max(normal, tangential) + max(self.body, 8 * self.spin_drag)
         return min(LARGEST_STEP, INTEGRATORS[integrator] / fastest if fastest else LARGEST_STEP)
 
+    @property
+    def _pair(self) -> tuple[float, float]:
+        """Rates of relaxation of the normal and the tangential velocity of two disks that touch."""
+        return 2 * self.normal, (6 if self.rolls else 2) * self.tangential
+
     def step(self, dt: float | None, integrator: str) -> float:
-        """Return ``dt``; left out, VOT's 0.05 τe, or two thirds of the largest stable one if that is less.
+        """Return ``dt``; left out, one that keeps the energy budget within 1 %, at most VOT's 0.05 τe.
 
         Raises
         ------
         InputError
-            If ``dt`` is not a number above 0, or not stable; if there is no such integrator.
+            If ``dt`` is not a number above 0, or not stable for two disks; if there is no such integrator.
         """
         if integrator not in INTEGRATORS:
             raise InputError(f"shear: no integrator {integrator!r}; there are {', '.join(INTEGRATORS)}")
         largest = self.largest_step(integrator)
         if dt is None:
-            return min(STEP, 2 / 3 * largest)
+            accurate = (x / rate for x, rate in zip(ACCURATE[integrator], self._pair, strict=True) if rate)
+            return min(STEP, largest / 2, *accurate)
         if not 0 < dt <= largest * (1 + 1e-12):
             raise InputError(
                 f"shear: dt must be above 0 and, for {integrator} with {self.name} at Q = {self.Q:g}, "
                 f"at most {largest:.3g} tau_e, not {shown(dt)}"
             )
         return float(dt)
+
+
+def stable_step(integrator: str, relaxation: float, oscillation: float) -> float:
+    """Return the largest stable time step, in τe, where M⁻¹B and M⁻¹K have these largest eigenvalues.
+
+    docs/theory.md, Largest time steps.
+    """
+    if integrator == "heun":
+        return min(2 / relaxation if relaxation else inf, sqrt(3 / oscillation) if oscillation else inf)
+    both = relaxation + sqrt(relaxation**2 + oscillation)
+    return 2 / both if both else inf
 
 
 def model(law: str | DampingLaw, Q: float, **others: Any) -> Model:
@@ -134,4 +159,5 @@ def model_of(settings: Mapping[str, Any]) -> Model:
     if law is None:
         kind = LAWS[settings["law"]]
         law = kind(**{item.name: settings[item.name] for item in fields(kind)})
-    return Model(law, **{name: settings[name] for name in ("Q", "exponent", "drag", "spin_drag")})
+    others = {name: settings[name] for name in ("Q", "drag", "spin_drag")}
+    return Model(law, potential=potential(settings["potential"]), **others)

@@ -41,12 +41,12 @@ class Protocol:
     settings: dict[str, Any] = field(default_factory=dict)
 
 
-def steady(rate: float, strain: float) -> Protocol:
-    """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0)."""
+def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
+    """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0); ``bulk`` matters to starts at other rates."""
     _check("rate", rate, rate != 0, "a number other than 0")
     _check("strain", strain, strain > 0, "above 0")
     return Protocol(
-        "steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), "scale", {"rate": rate}
+        "steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), bulk, {"rate": rate}
     )
 
 

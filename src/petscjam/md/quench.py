@@ -14,33 +14,25 @@ from petscjam.md.result import Run
 from petscjam.md.state import State
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import BUDGET, relax_packing
-from petscjam.potential import POTENTIALS
 from petscjam.progress import Report
 from petscjam.storage import release
 
-LAWS = {law.exponent: law.name for law in POTENTIALS.values() if law.name.endswith("-relative")}
-SETTINGS = ("model", "law", "Q", "exponent", "drag", "spin_drag", "protocol", "start", "seed")
+SETTINGS = ("model", "law", "Q", "potential", "drag", "spin_drag", "protocol", "start", "seed")
 
 
 def snapshot(run: Run) -> Packing:
     """Return the disks at the end of ``run`` as they are: not minimised. Units: ds and ke/ds².
 
+    The potential is that of the run.
+
     The provenance holds the settings of the run that matter to its last state, and phi, strain, rate (1/τe)
     and time (τe) of that.
-
-    Raises
-    ------
-    InputError
-        If no potential of :data:`petscjam.potential.POTENTIALS` has the exponent of the run.
     """
-    exponent, state = run.settings["exponent"], run.state
-    if exponent not in LAWS:
-        known = ", ".join(f"{alpha:g} ({name})" for alpha, name in LAWS.items())
-        raise InputError(f"quench: no contact potential has the exponent {exponent:g}; known are {known}")
+    state = run.state
     made_by: dict[str, Any] = {"program": "petscjam", "version": release("petscjam")}
     made_by.update({key: run.settings[key] for key in SETTINGS if run.settings.get(key) is not None})
     made_by.update(phi=state.phi, strain=state.strain, rate=state.rate, time=state.time)
-    return replace(state.packing(), potential_name=LAWS[exponent], provenance=made_by)
+    return replace(state.packing(), provenance=made_by)
 
 
 def quench(
@@ -59,7 +51,7 @@ def quench(
     Parameters
     ----------
     source : Run, State or Packing
-        A run stands for its last state, a state alone for harmonic disks.
+        A run stands for its last state.
     method, threads, budget, progress
         As for :func:`petscjam.relax_packing`.
 
@@ -71,8 +63,7 @@ def quench(
     Raises
     ------
     InputError
-        If the disks find room and lose their contacts: not jammed at their packing fraction. If no
-        potential has the exponent of the run.
+        If the disks find room and lose their contacts: not jammed at their packing fraction.
     SolverError
         If the forces do not balance within the budget.
     """

@@ -16,10 +16,13 @@ from numpy.typing import ArrayLike
 
 from petscjam.box import Array
 from petscjam.errors import InputError, shown
+from petscjam.md.model import model_of
 from petscjam.md.state import State
+from petscjam.potential import power_law
 from petscjam.storage import check_output, group, open_h5, write_atomically
 
-FORMAT, SCHEMA = "petscjam run", 1
+FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
+MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
 BINS = 100  # of the collision angle, 3.6° each (VOT fig. 8)
 MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_N of VOT eqs. 31–34
 
@@ -42,7 +45,8 @@ ROWS = {
     "spin": "1/τe, mean θ̇", "spin_variance": "1/τe², over disks and time",
     "dvx2": "ds²/τe² (VOT eq. 35)", "vy2": "ds²/τe² (VOT eq. 36)",
     "normal2": "ds²/τe², mean square normal velocity of contacts", "tangential2": "ds²/τe²",
-    "steps": "time steps", "rebuilds": "neighbour lists built",
+    "steps": "time steps, each part counted",
+    "parts": "most parts that a time step dt was divided into", "rebuilds": "neighbour lists built",
 }  # fmt: skip
 # Sums over a block; M is the number of layers in y, each about ds high.
 BLOCKS = {
@@ -72,7 +76,7 @@ class Run:
     Attributes
     ----------
     settings : mapping
-        model, law, Q, exponent, drag, spin_drag, particles, phi, protocol, rate, dt, integrator, seed, …
+        model, law, Q, potential, drag, spin_drag, particles, phi, protocol, rate, dt, integrator, …
     rows : mapping of (K,) arrays
         One value an interval: :data:`ROWS`.
     blocks : mapping of arrays
@@ -184,6 +188,31 @@ class Run:
             raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows lie after a strain of {after}")
         return Mean(float(kept.mean()), blocked_error(kept))
 
+    @property
+    def missed(self) -> float:
+        """Share of the heat that the energy budget misses: in the run, or after a quarter if that is more."""
+        rounding = 1e-12 * np.abs(self.rows["energy"]).max(initial=0.0)
+        shares = [0.0]
+        for kept in (slice(None), self.after()):
+            heat, missed = (abs(self.rows[name][kept].sum()) for name in ("heat", "imbalance"))
+            if missed > rounding:
+                shares.append(float(missed / heat) if heat else np.inf)
+        return max(shares)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the numbers of the run doubtful, a sentence each."""
+        found, s = [], self.settings
+        if not self.missed <= MISSED:
+            share = f"{100 * self.missed:.2g} %"
+            found.append(f"the energy budget misses {share} of the heat: take a smaller dt")
+        divided = self.rows["parts"] > 1
+        if divided.any() and s["dt"] > model_of(s).step(None, s["integrator"]):
+            where = f"too large for the contacts in {divided.sum()} of {len(divided)} rows"
+            parts = f"time steps were divided into up to {self.rows['parts'].max():.0f} parts"
+            found.append(f"dt = {s['dt']:.3g} is {where}: {parts}")
+        return tuple(found)
+
 
 PARTS = ("elastic", "dissipative", "kinetic")
 
@@ -217,6 +246,8 @@ def is_run(path: str | PathLike[str]) -> bool:
 def write_run(h5: Any, run: Run) -> None:
     """Write ``run`` into an open HDF5 file."""
     h5.attrs.update(format=FORMAT, schema=SCHEMA)
+    if run.warnings:
+        h5.attrs["warnings"] = list(run.warnings)
     group(h5, "settings").attrs.update({k: v for k, v in run.settings.items() if v is not None})
     for name, units, values in (("rows", ROWS, run.rows), ("blocks", BLOCKS, run.blocks)):
         node = group(h5, name)
@@ -231,14 +262,19 @@ def write_run(h5: Any, run: Run) -> None:
 
 def read_run(h5: Any) -> Run:
     """Return the run of an open HDF5 file."""
-    if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") != SCHEMA:
+    if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in (1, SCHEMA):
         raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with schema {SCHEMA}")
     settings = {k: v.item() if isinstance(v, np.generic) else v for k, v in h5["settings"].attrs.items()}
-    rows = {key: h5["rows"][key][()] for key in ROWS}
+    old = h5.attrs["schema"] == 1
+    rows = {key: h5["rows"][key][()] for key in ROWS if not (old and key == "parts")}
+    if old:
+        rows["parts"] = np.ones_like(rows["steps"])
+        settings["potential"] = power_law(settings.pop("exponent"), relative=True).name
     blocks = {key: h5["blocks"][key][()] for key in BLOCKS}
     node = h5["state"]
     arrays = {key: node[key][()] for key in ("positions", "velocities", "spins", "radii")}
-    return Run(settings, rows, blocks, State(**arrays, **dict(node.attrs)))
+    state = State(**arrays, **dict(node.attrs), potential_name=settings["potential"])
+    return Run(settings, rows, blocks, state)
 
 
 def read(path: str | PathLike[str]) -> Run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict
 from os import PathLike
@@ -11,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from petscjam.damping import DampingLaw
-from petscjam.errors import InputError, shown
+from petscjam.errors import DoubtfulWarning, InputError, shown
 from petscjam.md import protocols
 from petscjam.md.book import Book
-from petscjam.md.model import Model
 from petscjam.md.model import model as model_of
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import Run, read_run
 from petscjam.md.simulation import Simulation
-from petscjam.md.starts import Start, first_state
+from petscjam.md.starts import Start, first_state, given_state
+from petscjam.potential import POTENTIALS, power_law
 from petscjam.progress import Report
 from petscjam.storage import check_output, open_h5, release
 
@@ -52,10 +53,13 @@ def shear(
     seed : int
         Of the random start.
     dt : float
-        Time step in τe; left out, 0.05, or less where that would not be stable.
+        Time step in τe; left out, 0.05, or less where damping is strong: one that keeps the energy budget
+        within 1 % of the heat. Where the contacts demand smaller steps to be stable, they are divided.
     start : State, Run, Packing or path
         Where to start from; left out, from random positions, let part, on the linear profile. Velocities and
-        spins of a run are scaled to the new rate (VOT eqs. 40, 41). History matters: it is recorded.
+        spins of a run are scaled to the new rate (VOT eqs. 40, 41). History matters: it is recorded. Disks
+        repel each other as they did at the start. A packing whose lattice is that of a square, sheared along
+        one of its lattice vectors, is turned until this lies along x.
     output : path
         File of the run (HDF5), whole at every moment.
     **options
@@ -65,6 +69,7 @@ def shear(
     Returns
     -------
     Run
+        What makes its numbers doubtful is in ``warnings``, and given as a warning of Python.
 
     Raises
     ------
@@ -107,7 +112,7 @@ def run(
     protocol: Protocol, model: str | DampingLaw, n: int | None = None, phi: float | None = None,
     Q: float = 1.0, *, seed: int = 1, dt: float | None = None, start: Start = None,
     output: str | PathLike[str] | None = None, integrator: str = "heun", threads: int = 1,
-    exponent: float = 2.0, drag: float = 0.0, spin_drag: float = 0.0, row_time: float | None = None,
+    exponent: float | None = None, drag: float = 0.0, spin_drag: float = 0.0, row_time: float | None = None,
     resume: bool = False, overwrite: bool = False, frames: int = 0,
     progress: Report | None = None,
 ) -> Run:  # fmt: skip
@@ -122,7 +127,7 @@ def run(
     threads : int
         They pay from ten thousand disks on; results do not depend on them.
     exponent : float
-        α of the repulsion (VOT eq. 1).
+        α of the repulsion (VOT eq. 1); left out, that of ``start``, or 2.
     drag, spin_drag : float
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     row_time : float
@@ -138,39 +143,48 @@ def run(
     progress : callable
         See :mod:`petscjam.progress`.
     """
-    law = model_of(model, Q, exponent=exponent, drag=drag, spin_drag=spin_drag)
-    dt = law.step(dt, integrator)
     _check_threads(threads)
+    if frames and output is None:
+        raise InputError("shear: frames are written beside the output: give one")
+    earlier = _reopened(output) if output is not None and resume and Path(output).exists() else None
+    if output is not None and earlier is None:
+        check_output(output, overwrite=overwrite)
+    given, origin = given_state(start)
+    first = given if earlier is None else earlier[0].state
+    potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
+    if exponent is not None:
+        potential = power_law(exponent, potential.relative)
+    law = model_of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
+    dt = law.step(dt, integrator)
     total = max(round(protocol.duration / dt), 1)
     row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
     settings = {
-        "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q), "exponent": float(exponent),
-        "drag": float(drag), "spin_drag": float(spin_drag),
+        "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q),
+        "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
         "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
         "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
         "version": release("petscjam"),
     }  # fmt: skip
-    if output is not None and resume and Path(output).exists():
-        book, simulation = _resumed(output, settings, law, n, phi, seed)
+    asked: dict[str, Any] = {"particles": n, "phi": phi}
+    asked |= {"seed": seed} if given is None else {"start": origin}
+    if earlier is not None:
+        _check_settings(output, earlier[0], settings | asked)
+        simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
+        book = Book.reopened(*earlier, simulation)
     else:
-        if output is not None:
-            check_output(output, overwrite=overwrite)
-        first, origin = first_state(start, n, phi, seed, law, protocol)
-        settings.update(
-            particles=len(first),
-            phi=first.phi,
-            seed=seed,
-            start=origin,
-            strain0=first.strain,
-            time0=first.time,
-        )
+        first = first_state(given, origin, n, phi, seed, law, protocol)
+        settings.update(asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain,
+                        time0=first.time)  # fmt: skip
         simulation = Simulation(first, law, dt, integrator, threads)
         book = Book(settings, simulation)
     if threads > 1:
         import numba
 
         numba.set_num_threads(threads)
-    return book.fill(simulation, protocol, total, output, frames, progress)
+    made = book.fill(simulation, protocol, total, output, frames, progress)
+    for text in made.warnings:
+        warnings.warn(text, DoubtfulWarning, stacklevel=2)
+    return made
 
 
 def _check_threads(threads: int) -> None:
@@ -181,21 +195,19 @@ def _check_threads(threads: int) -> None:
         raise InputError(f"shear: threads must be from 1 to {most} (NUMBA_NUM_THREADS), not {shown(threads)}")
 
 
-def _resumed(
-    output: str | PathLike[str], settings: Mapping[str, Any], model: Model, n: int | None,
-    phi: float | None, seed: int,
-) -> tuple[Book, Simulation]:  # fmt: skip
-    """Return the book and the simulation of a file, if it was made with these settings."""
+def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:
+    """Return the run of a file, and its checkpoint."""
     with open_h5(output) as h5:
-        run, saved = read_run(h5), {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
-    asked = {**settings, "particles": n, "phi": phi, "seed": seed}
+        if h5.attrs.get("schema") == 1:
+            raise InputError("was made by an older petscjam; it cannot be resumed, but be a start")
+        return read_run(h5), {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
+
+
+def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run that was made with other settings; None agrees with all."""
     for name, value in asked.items():
         there: Any = run.settings.get(name)
-        if value is None or name in OWN:
+        if value is None or name in OWN or (name == "seed" and there is None):
             continue
         if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):
             raise InputError(f"{output}: was made with {name} = {there}, not {value}; it cannot be resumed")
-    simulation = Simulation.restored(
-        saved, model, settings["dt"], settings["integrator"], settings["threads"]
-    )
-    return Book.reopened(run, saved, simulation), simulation

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from petscjam.box import Array, Box
 from petscjam.damping import ContactDamping
 from petscjam.errors import InputError, shown
 from petscjam.md.model import Model
@@ -25,40 +26,42 @@ SETTLE = 200.0  # τe that disks at random positions are given to part
 
 
 def first_state(
-    start: Start, n: int | None, phi: float | None, seed: int, model: Model, protocol: Protocol
-) -> tuple[State, str]:
-    """Return the first state, on the linear profile of the first strain rate, and where it comes from.
+    state: State | None, origin: str, n: int | None, phi: float | None, seed: int, model: Model,
+    protocol: Protocol,
+) -> State:  # fmt: skip
+    """Return the first state, on the linear profile of the first strain rate, from a given one or at random.
 
-    Without ``start``, disks at random positions part first. Of a run, velocities and spins are scaled to the
-    new rate (VOT eqs. 40, 41), if changes of the rate scale them.
+    Disks at random positions part first. Of a run, velocities and spins are scaled to the new rate (VOT eqs.
+    40, 41), if changes of the rate scale them; a given state stays as it is where only the boundary moves.
 
     Raises
     ------
     InputError
-        If the start is damaged, or has another number of disks or packing fraction than asked for.
+        If the start has another number of disks or packing fraction than asked for.
     """
     rate = float(protocol.rates(np.array([0.0]))[0])
-    if start is None:
-        at_random = random_state(1024 if n is None else n, 0.82 if phi is None else phi, seed)
-        state, origin = _settled(at_random, model), "random"
+    if state is None:
+        state = random_state(1024 if n is None else n, 0.82 if phi is None else phi, seed)
+        state = _settled(state, model)
     else:
-        state, origin = _given(start)
         if n is not None and n != len(state):
             raise InputError(f"shear: {origin} has {len(state)} disks, not {n}")
         if phi is not None and abs(phi - state.phi) > 1e-6:
             raise InputError(f"shear: {origin} has packing fraction {state.phi:.8g}, not {shown(phi)}")
+    if protocol.bulk == "boundary" and origin != "random":
+        return replace(state.wrapped(), rate=rate)
     v, spins = state.velocities.copy(), state.spins
     if state.rate != 0 and protocol.bulk == "scale":
         v, spins = v * (rate / state.rate), spins * (rate / state.rate)
     else:
         v[:, 0] += (rate - state.rate) * state.positions[:, 1]
         spins = spins - (rate - state.rate) / 2 * model.rolls
-    return replace(state, velocities=v, spins=spins, rate=rate), origin
+    return replace(state, velocities=v, spins=spins, rate=rate)
 
 
 def _settled(state: State, model: Model) -> State:
     """Return disks that have parted, as far as they can, under strong damping at rest."""
-    law = Model(ContactDamping(), 1.0, exponent=model.exponent)
+    law = Model(ContactDamping(), 1.0, model.potential)
     simulation = Simulation(state, law)
     steps = int(SETTLE / simulation.dt)
     simulation.advance(np.zeros(steps), np.zeros(steps))
@@ -66,18 +69,27 @@ def _settled(state: State, model: Model) -> State:
     return replace(simulation.state, velocities=rest, spins=np.zeros(len(state)), time=0.0)
 
 
-def _given(start: State | Run | Packing | str | PathLike[str]) -> tuple[State, str]:
+def given_state(start: Start) -> tuple[State | None, str]:
+    """Return the state to start from, None for one at random, and where it comes from.
+
+    Raises
+    ------
+    InputError
+        If the start cannot be read, or is a packing whose lattice is not that of a sheared square.
+    """
+    if start is None:
+        return None, "random"
     if isinstance(start, State):
         return start, "a state"
     if isinstance(start, Run):
         return start.state, _of(start)
     if isinstance(start, Packing):
-        return _at_rest(start), f"packing {start.checksum}"
+        return _at_rest(start)
     if is_run(start):
         earlier = read(start)
         return earlier.state, f"{Path(start).name}: {_of(earlier)}"
-    packing = Packing.read(start)
-    return _at_rest(packing), f"{Path(start).name}: packing {packing.checksum}"
+    state, origin = _at_rest(Packing.read(start))
+    return state, f"{Path(start).name}: {origin}"
 
 
 def _of(run: Run) -> str:
@@ -85,12 +97,39 @@ def _of(run: Run) -> str:
     return f"{name} from {start} at γ̇ = {state.rate:.4g}, γ = {state.strain:.6g}"
 
 
-def _at_rest(packing: Packing) -> State:
-    """Return the disks of a packing at rest, in units of the smallest diameter."""
-    (a, zero), (tilt, b) = packing.box.cell / (2 * packing.radii.min())
-    if abs(zero) > 1e-12 * a or abs(a - b) > 1e-9 * a:
-        cell = packing.box.cell.tolist()
-        raise InputError(f"shear: the cell {cell} of the packing is not a square one, sheared along x")
-    n = len(packing)
-    x, radii = (values / (2 * packing.radii.min()) for values in (packing.positions, packing.radii))
-    return State(x, np.zeros((n, 2)), np.zeros(n), radii, a, tilt / a).wrapped()
+def _at_rest(packing: Packing) -> tuple[State, str]:
+    """Return the disks of a packing at rest, in units of the smallest diameter, and where they come from.
+
+    Its lattice must be that of a square sheared along one of its lattice vectors. Unless this lies along x,
+    everything is turned until it does.
+    """
+    unit, n = 2 * packing.radii.min(), len(packing)
+    edge, tilt, angle = _sheared_square(packing.box.cell)
+    c, s = np.cos(angle), np.sin(angle)
+    x = packing.positions @ np.array([[c, -s], [s, c]]) if angle else packing.positions
+    state = State(
+        x / unit, np.zeros((n, 2)), np.zeros(n), packing.radii / unit, edge / unit, tilt,
+        potential_name=packing.potential_name,
+    ).wrapped()  # fmt: skip
+    turned = f", turned by {np.degrees(-angle):.6g} degrees" if angle else ""
+    return state, f"packing {packing.checksum}{turned}"
+
+
+def _sheared_square(cell: Array) -> tuple[float, float, float]:
+    """Return the edge and the tilt of the sheared square with the lattice of ``cell``, and its direction.
+
+    Only a shortest vector of a lattice can be the edge of a square of the same area that is sheared along it.
+    Of two, that which needs to be turned least is taken.
+    """
+    (a, zero), (along, b) = cell
+    if a > 0 and abs(zero) <= 1e-12 * a and abs(a - b) <= 1e-9 * a:
+        return float(a), float(along / a), 0.0
+    reduced, area = Box(cell).reduced, Box(cell).area
+    edges = [v for v in (*reduced, *-reduced) if abs(v @ v / area - 1) <= 2e-9]
+    if not edges:
+        raise InputError(f"shear: the cell {cell.tolist()} of the packing is not a square one, sheared")
+    edge = min(edges, key=lambda v: abs(np.arctan2(v[1], v[0])))
+    for other in (*reduced, *-reduced):
+        if edge[0] * other[1] - edge[1] * other[0] > area / 2:
+            tilt = edge @ other / area
+    return float(np.sqrt(area)), float(tilt - np.rint(tilt)), float(np.arctan2(edge[1], edge[0]))

@@ -7,7 +7,7 @@ Axes: i disk, x Cartesian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 
 import numpy as np
@@ -15,9 +15,9 @@ import numpy as np
 from petscjam.box import Array, Box, frozen
 from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
+from petscjam.potential import Potential, potential
 
 RATIO = 1.4
-POTENTIAL = "harmonic-relative"  # VOT eq. 1 with α = 2
 DENSEST = 1.0
 
 
@@ -38,11 +38,13 @@ class State:
         Edge L of the cell.
     strain, rate, time : float
         γ, γ̇ and t.
+    potential_name : str
+        Of the repulsion, as in a :class:`petscjam.Packing`; its energy scale is 1 for disks of diameter ds.
 
     Raises
     ------
     InputError
-        On wrong shapes, values that are not finite, a radius that is not positive.
+        On wrong shapes, values that are not finite, a radius that is not positive, an unknown potential.
     """
 
     positions: Array
@@ -53,6 +55,7 @@ class State:
     strain: float = 0.0
     rate: float = 0.0
     time: float = 0.0
+    potential_name: str = "harmonic-relative"  # VOT eq. 1 with α = 2
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.radii))
@@ -70,6 +73,7 @@ class State:
             if not np.isfinite(value) or (name == "length" and value <= 0):
                 raise InputError(f"state: {name} is {value}")
             object.__setattr__(self, name, value)
+        potential(self.potential_name)
 
     def __len__(self) -> int:
         return len(self.radii)
@@ -86,6 +90,11 @@ class State:
         return Box(self.length * np.array([[1.0, 0.0], [tilt, 1.0]]))
 
     @property
+    def potential(self) -> Potential:
+        """The repulsion between disks."""
+        return potential(self.potential_name)
+
+    @property
     def peculiar(self) -> Array:
         """Velocities against the linear profile, v − γ̇ y x̂, shape (N, 2)."""
         c = self.velocities.copy()
@@ -100,11 +109,11 @@ class State:
         x[:, 0] -= rows * self.strain * L
         v[:, 0] -= rows * self.rate * L
         x[:, 0] -= np.floor(x[:, 0] / L) * L
-        return State(x, v, self.spins, self.radii, L, self.strain, self.rate, self.time)
+        return replace(self, positions=x, velocities=v)
 
     def packing(self) -> Packing:
         """Return positions, radii and cell as a :class:`petscjam.Packing`, as they are: not minimised."""
-        return Packing(self.positions, self.radii, self.box, POTENTIAL)
+        return Packing(self.positions, self.radii, self.box, self.potential_name)
 
 
 def radii(n: int) -> Array:
@@ -123,11 +132,11 @@ def cell_length(sizes: Array, phi: float) -> float:
     return float(np.sqrt(np.pi * (sizes**2).sum() / phi))
 
 
-def random_state(n: int, phi: float, seed: int) -> State:
+def random_state(n: int, phi: float, seed: int, potential_name: str = "harmonic-relative") -> State:
     """Return disks at rest, at random positions: they overlap."""
     if not isinstance(seed, Integral) or seed < 0:
         raise InputError(f"shear: the seed must be a whole number, 0 or more, not {shown(seed)}")
     sizes = radii(n)
     L = cell_length(sizes, phi)
     x = np.random.default_rng(seed).random((n, 2)) * L
-    return State(x, np.zeros((n, 2)), np.zeros(n), sizes, L)
+    return State(x, np.zeros((n, 2)), np.zeros(n), sizes, L, potential_name=potential_name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -16,7 +16,8 @@ from petscjam.md.state import State
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, errors, save
 from petscjam.plots.packing import OUTLINED
 
-GREY = "0.35"
+GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
+DEFAULT = "harmonic-relative"  # VOT's: not told
 VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
 MEANS = (
     ("P", "pressure"), ("Σ", "stress"), ("P elastic", "pressure_elastic"), ("Σ elastic", "stress_elastic"),
@@ -37,13 +38,21 @@ def _number(value: float) -> str:
 
 def _title(run: Run) -> str:
     s = run.settings
-    return rf"{_model(s['model'])}, {s['particles']} disks, $\phi$ = {s['phi']:.5g}, $Q$ = {_number(s['Q'])}"
+    repulsion = f", {run.state.potential_name}" * (run.state.potential_name != DEFAULT)
+    size = f"{s['particles']} disks{repulsion}"
+    return rf"{_model(s['model'])}, {size}, $\phi$ = {s['phi']:.5g}, $Q$ = {_number(s['Q'])}"
 
 
 def _model(name: str) -> str:
     """Return the name of a model with its subscript."""
     head, _, index = name.partition("_")
     return rf"{head}$_\mathrm{{{index}}}$" if index and index.isalpha() else name
+
+
+def _warn(figure: Any, texts: Sequence[str]) -> None:
+    """Write warnings below the panels."""
+    if texts:
+        figure.supxlabel("\n".join(f"warning: {text}" for text in texts), color="#b00020", fontsize=9)
 
 
 # --- one run ------------------------------------------------------------------------------------------
@@ -71,6 +80,7 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
     _draw_means(panels[2, 3], run)
     rate = run.settings["rate"]
     figure.suptitle(rf"{_title(run)}, $\dot\gamma\tau_e$ = {_number(rate)}", fontsize=13)
+    _warn(figure, run.warnings)
     save(figure, path)
 
 
@@ -299,6 +309,7 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
         _draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
         axes.legend(frameon=False, loc="lower right")
     figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings['kappa'])}", fontsize=12)
+    _warn(figure, run.warnings)
     save(figure, path)
 
 
@@ -357,7 +368,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
         if run.settings["protocol"] != "steady":
             raise InputError(f"plot: {name} is no steady run, but a {run.settings['protocol']}")
     x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
-    others = [key for key in ("model", "particles", "phi", "Q", "rate") if key != x]
+    others = [key for key in ("model", "potential", "particles", "phi", "Q", "rate") if key != x]
     curves: dict[tuple, dict[float, list[Run]]] = {}
     for run in runs.values():
         kind = tuple(_setting(run, key) for key in others)
@@ -379,8 +390,13 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
         y = np.concatenate([bars[0].get_ydata() for bars in axes.containers])
         if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # ticks are poor on less than that
             axes.set_yscale("log", nonpositive="mask")
-    same = [_parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ]
+    same = [
+        _parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ and kind[k] != DEFAULT
+    ]
     figure.suptitle(", ".join(same), fontsize=12)
+    doubtful = {name: run.warnings for name, run in runs.items() if run.warnings}
+    shown_of = [f"{name}: {text}" for name, some in doubtful.items() for text in some]
+    _warn(figure, shown_of[:WARNED] + [f"… {len(shown_of)} warnings in all"] * (len(shown_of) > WARNED))
     if differ:
         panels[len(shown) // 2 - 1].legend(loc="upper left", bbox_to_anchor=(1.02, 1), frameon=False)
     save(figure, path)
@@ -388,12 +404,14 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
 
 def _setting(run: Run, key: str) -> Any:
     """Return a setting, to six digits: packing fractions are as exact as cells are."""
+    if key == "potential":
+        return run.state.potential_name
     value = run.settings[key]
     return float(f"{value:.6g}") if key in AXES else value
 
 
 def _parameter(key: str, value: Any) -> str:
-    if key == "model":
+    if key in ("model", "potential"):
         return _model(value)
     return f"{value} disks" if key == "particles" else f"${AXES[key][0]}$ = {_number(value)}"
 

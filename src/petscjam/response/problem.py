@@ -25,8 +25,8 @@ NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam 
 class LinearProblem:
     """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
 
-    Rattlers are taken out, unless the law drags them along. ``affine`` is (K_γγ, B_γγ); ``notes`` say what
-    could not be had, and why.
+    Rattlers are taken out, unless the law drags them along. Without ``fluid`` B lacks its viscosity.
+    ``affine`` is (K_γγ, B_γγ); ``notes`` say what could not be had, and why.
 
     Raises
     ------
@@ -35,8 +35,9 @@ class LinearProblem:
     """
 
     def __init__(
-        self, packing: Packing, law: DampingLaw, strains: Sequence[StrainMode], prestress: bool, comm: Any
-    ) -> None:
+        self, packing: Packing, law: DampingLaw, strains: Sequence[StrainMode], prestress: bool, comm: Any,
+        *, fluid: bool = True,
+    ) -> None:  # fmt: skip
         self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
         self.prestress = prestress
         self.notes: list[str] = []
@@ -52,7 +53,7 @@ class LinearProblem:
 
         def forms(network: ContactNetwork) -> tuple[Form, Form]:
             K = elastic_form(network, my_disks, strains, prestress=prestress)
-            return K, viscous_form(network, my_disks, strains, law)
+            return K, viscous_form(network, my_disks, strains, law, fluid=fluid)
 
         self.K, self.B = forms(self.network)
         self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)

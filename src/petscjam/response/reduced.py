@@ -103,7 +103,7 @@ def spectrum(
     low, high = checked_span(span)
     checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)
-    problem = LinearProblem(packing, law.without_fluid(), [strain_mode(strain)], prestress, comm)
+    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm, fluid=False)
     dofs = problem.number(problem.active)
     needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
     if progress:

@@ -129,7 +129,7 @@ def relaxation_modes(
     law, mode = law_or_default(damping), strain_mode(strain)
     if law.body and (law.normal or law.tangential):
         raise InputError(f"damping: {law} acts on contacts and on disks; relaxations are of one or the other")
-    problem = LinearProblem(packing, law.without_fluid(), [mode], prestress, comm)
+    problem = LinearProblem(packing, law, [mode], prestress, comm, fluid=False)
     check(count, problem.backbone)
     for number, kind in ((problem.negative_modes, "negative"), (problem.zero_modes, "zero")):
         if number != 0:
