@@ -219,6 +219,18 @@ def test_islands_resist_nothing_and_are_answered(comm, make, strain, law):
         assert "floppy modes" in " ".join(r.notes)
 
 
+@pytest.mark.parametrize("low", [1e-8, 1e-6, 1e-3])
+def test_soft_motions_that_only_friction_resists_are_answered(low):
+    """Three floppy modes move by 1/ω: solves leave the residual of rounding beside K times that."""
+    packing, omega = pj.Packing.read(DATA / "floppy-N14.h5"), np.array([low, 1.0])
+    g = pj.complex_modulus(packing, omega, prestress=False)
+    s = pj.spectrum(packing, (low, 1e2), prestress=False)
+    affine = abs(ContactNetwork.of(packing).affine_modulus * (1 + 1j * omega))
+    assert (abs(g.values) < 1e-12 * affine).all()
+    assert (abs(s(omega)) < 1e-12 * affine).all()
+    assert s.zero_modes == 3
+
+
 @pytest.mark.parametrize(
     ("make", "law", "free"),
     [

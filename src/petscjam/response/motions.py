@@ -24,6 +24,7 @@ from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
 
 NEW = 1e-10  # part of a vector outside the others, below which it is rounding
+ROUNDING = 1e-13  # residual, relative to ‖A‖‖x‖, that a stable solve may leave: soft motions make x large
 
 Complex = NDArray[np.complex128]
 
@@ -57,7 +58,8 @@ class Motions:
         K ignores a free motion e that B sees, so eᵀ(Bx + drag) = 0; at low ω rounding would outgrow that.
         """
         x, residual = self.solver.solve(rhs)
-        if not residual < LARGEST_RESIDUAL:
+        rounding = ROUNDING * self.pencil.A.norm() * self.norm(x) / (self.norm(rhs) or 1.0)
+        if not residual < max(LARGEST_RESIDUAL, rounding):
             raise SolverError(f"a solve has residual {residual:.1e}: {self.solver.weakness}")
         self.residual = max(self.residual, residual)
         for e, Be, eBe in self._free:
