@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Try the project as newcomers do: a bare Debian 12 and 13, a clone of the last commit, demo, lint and tests with each
 # stack. Called by make test-fresh, as root; needs debootstrap. Usage: tools/test-fresh.sh [bookworm] [trixie]
-# FRESH names the folder of the systems, to keep them; MIRROR is where Debian's packages are.
+# FRESH names a folder to keep the systems in until the next run; MIRROR is where Debian's packages are.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 mirror=${MIRROR:-http://deb.debian.org/debian}
@@ -19,17 +19,15 @@ fi
 # Make the system of a suite, with a user, git, make and Python, and a clone in that user's home.
 bare() {
     root=$fresh/$1
-    if ! [ -e "$root/etc/passwd" ]; then
-        echo "== $1: debootstrap"
-        debootstrap --variant=minbase --include=ca-certificates,git,make,python3 "$1" "$root" "$mirror" >"$root.log" 2>&1 ||
-            { tail -n 5 "$root.log" >&2; exit 1; }
-        chroot "$root" useradd --create-home newcomer
-    fi
+    rm -rf --one-file-system "$root"
+    echo "== $1: debootstrap"
+    debootstrap --variant=minbase --include=ca-certificates,git,make,python3 "$1" "$root" "$mirror" >"$root.log" 2>&1 ||
+        { tail -n 5 "$root.log" >&2; exit 1; }
+    chroot "$root" useradd --create-home newcomer
     # How this machine reaches the net.
     for file in /etc/resolv.conf /etc/hosts /etc/pip.conf /etc/ssl/certs/ca-certificates.crt; do
         [ ! -e $file ] || install -D -m 644 $file "$root$file"
     done
-    rm -rf "$root/home/newcomer/petscjam"
     git clone -q . "$root/home/newcomer/petscjam"
     chroot "$root" chown -R newcomer: /home/newcomer
 }
