@@ -31,7 +31,7 @@ class Pairs(NamedTuple):
         1/(Ri + Rj).
     touching : (C,) uint8
     since : (C,) int64
-        Step at which they came to touch.
+        Tick at which they came to touch.
     runs : (number of runs + 1,) int64
         Where the pairs of each run begin; those after the last join runs or images.
     nx, ny : int64
