@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.box import Array
 from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.errors import InputError, SolverError
+from petscjam.interrupt import Interrupted, check, deferred
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import on_root, raise_together
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.progress import Report, part
@@ -196,6 +197,7 @@ def _check_files(files: Sequence[Path], output: str | PathLike[str], *, overwrit
     check_output(output, overwrite=overwrite, inputs=files)
 
 
+@deferred()
 def _run(
     jobs: Sequence[Job],
     there: set[tuple[str, str, bool]],
@@ -215,6 +217,7 @@ def _run(
     jobs = [job for job in jobs if job.missing(there)]
     run = comm.bcast(uuid4().hex)
     made, failures, bad = 0, [], 0
+    stopped: Interrupted | None = None
     if jobs:
         size = team_size or _team_size(max(job.particles for job in jobs), len(jobs), comm, out_of_core)
         with teams(comm, min(size, comm.size)) as team:
@@ -226,6 +229,7 @@ def _run(
                         f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks")  # fmt: skip
                 start = time.perf_counter()
                 try:
+                    check(team.comm)
                     for name, result in solve(job, team, report):
                         if name not in job.missing(there):
                             continue
@@ -241,11 +245,15 @@ def _run(
                         raise
                     failures += [str(error)] * (team.comm.rank == 0)
                     bad += isinstance(error, InputError) and team.comm.rank == 0
+                except Interrupted as signal:
+                    stopped = signal
+                    break
     everyone = comm.allgather((made, failures))
-    if jobs and not there and comm.allreduce(bad) == len(jobs):  # what was asked for makes no sense
-        raise InputError(next(text for _, some in everyone for text in some))
     if jobs and comm.rank == 0:
         unlock(output)
+    raise_together(comm, stopped)
+    if jobs and not there and comm.allreduce(bad) == len(jobs):  # what was asked for makes no sense
+        raise InputError(next(text for _, some in everyone for text in some))
     return sum(count for count, _ in everyone), [text for _, some in everyone for text in some]
 
 

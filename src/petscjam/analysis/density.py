@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.box import Array
 from petscjam.damping import ContactDamping
 from petscjam.errors import InputError, SolverError, shown
+from petscjam.interrupt import check
 from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
@@ -162,6 +163,7 @@ def density_of_states(
         twice_X = pencil.combine(-4 / bound, 0)
         twice_X.shift(2)
         for v in range(0, vectors, 2):  # K is real: two real vectors make a complex one
+            check(comm)
             pair = start_vector(seed, v, backbone) + 1j * start_vector(seed, v + 1, backbone)
             found[v : v + 2] = chebyshev(twice_X, dofs.scatter(pair, comm.rank), moments, comm)
             if progress:

@@ -1,9 +1,13 @@
-"""The command ``petscjam``: parse, call, print. Exit status 0 done, 2 bad input, 1 anything else."""
+"""The command ``petscjam``: parse, call, print.
+
+Exit status 0 done, 2 bad input, 130 and 143 stopped by SIGINT and SIGTERM, 1 anything else.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -12,14 +16,26 @@ from io import StringIO
 from typing import Any
 
 from petscjam.errors import InputError, SolverError
-from petscjam.parallel.comm import exit_together, world
+from petscjam.interrupt import Interrupted, listening
+
+STOPPING = 10.0  # seconds that ranks wait for each other where a signal stops them
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status, the same on every rank."""
+    with listening(signal.SIGINT, signal.SIGTERM):
+        status = _main(arguments)
+    if arguments is None:  # nothing is left that a signal could harm
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return status
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     # A rank that waits gives way to other work (Open MPI): much faster where the cores are shared.
     os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
     from mpi4py import MPI
+
+    from petscjam.parallel.comm import exit_together, world
 
     argv = list(sys.argv[1:] if arguments is None else arguments)
     leaving = MPI.COMM_WORLD.Dup()
@@ -29,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return exit_together(leaving, 2, f"petscjam: {error}")
     except SolverError as error:
         return exit_together(leaving, 1, f"petscjam: {error}")
-    except KeyboardInterrupt:
-        return exit_together(leaving, 1, "petscjam: interrupted")
+    except Interrupted as stop:
+        return exit_together(leaving, stop.status, f"petscjam: {stop}", STOPPING)
     except Exception:
         return exit_together(leaving, 1, traceback.format_exc())
     finally:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.box import Array
+from petscjam.interrupt import check
 from petscjam.md import kernels
 from petscjam.md.frames import write_frame
 from petscjam.md.kernels import BINS, TICKS
@@ -48,7 +49,10 @@ class Book:
         self, simulation: Simulation, protocol: Protocol, total: int, output: str | PathLike[str] | None,
         frames: int, progress: Report | None,
     ) -> Run:  # fmt: skip
-        """Go on to step ``total`` of ``protocol``; write a checkpoint now and then, and at the end."""
+        """Go on to step ``total`` of ``protocol``; write a checkpoint now and then, and at the end.
+
+        Whatever ends it, the file is left with the last whole row.
+        """
         row_steps = self.settings["row_steps"]
         count = -(-total // row_steps)
         began, written, first = time.monotonic(), time.monotonic(), simulation.steps
@@ -69,12 +73,22 @@ class Book:
                     speed = (simulation.steps - first) * len(simulation.tag) / (time.monotonic() - began)
                     text = f"{self._text()}, {speed / 1e6:.0f} million disk steps a second"
                     progress(simulation.steps / total, text)
-            if not self.saved:  # resumed at its end
-                self.saved = self._checkpoint(simulation)
+                check()
+        except BaseException:
+            self._take_back()
+            raise
         finally:
             if output is not None and self.saved:
                 self.write(output)
         return self.run
+
+    def _take_back(self) -> None:
+        """Forget what a row that was not finished added to the open block."""
+        if self.saved:
+            self._angles, self._layers, self._moments, self._scatter = (
+                self.saved[f"block_{name}"].copy() for name in ("angles", "layers", "moments", "scatter")
+            )
+            self._looks, self._pairs = (int(x) for x in self.saved["block_looked"])
 
     def _row(self, s: Simulation, protocol: Protocol, steps: int) -> None:
         before, rebuilds, substeps = sum(s.energy()), s.rebuilds, s.substeps
@@ -172,8 +186,7 @@ class Book:
         book.rows = {name: values.tolist() for name, values in run.rows.items()}
         closed = len(run.strain) // ROWS_PER_BLOCK
         book.blocks = {name: list(values[:closed]) for name, values in run.blocks.items()}
-        book._angles, book._layers = saved["block_angles"].copy(), saved["block_layers"].copy()
-        book._moments, book._scatter = saved["block_moments"].copy(), saved["block_scatter"].copy()
-        book._looks, book._pairs = (int(x) for x in saved["block_looked"])
+        book.saved = dict(saved)
+        book._take_back()
         book._state = run.state
         return book

@@ -10,8 +10,9 @@ from typing import Any
 
 from petscjam.damping import DampingLaw
 from petscjam.errors import InputError, SolverError
+from petscjam.interrupt import Interrupted, check, deferred
 from petscjam.md.result import Run
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import on_root, raise_together
 from petscjam.parallel.teams import teams
 from petscjam.progress import Report, part
 
@@ -42,6 +43,7 @@ def grid(
     return list(dict.fromkeys(Point(*values) for values in product(models, n, phi, Q, rate, seeds)))
 
 
+@deferred()
 def run_grid(
     points: Sequence[Point],
     folder: Path,
@@ -89,11 +91,13 @@ def run_grid(
 
     targets = on_root(comm, files)
     made, failures, bad = 0, [], 0
+    stopped: Interrupted | None = None
     with teams(comm, 1) as team:
         mine = team.deal(points, lambda point: point.n / abs(point.rate) if point.rate else 0.0)
         for k, point in enumerate(mine):
             report = part(progress, k, len(mine), f"{point.name}: ") if progress else None
             try:
+                check()
                 run = work(
                     **vars(point), output=targets[point], resume=resume, overwrite=overwrite, progress=report
                 )
@@ -101,8 +105,12 @@ def run_grid(
                 failures.append(f"{point.name}: {error}")
                 bad += isinstance(error, InputError)
                 continue
+            except Interrupted as signal:
+                stopped = signal
+                break
             made += 1
             log(targets[point], run)
+    raise_together(comm, stopped)
     everyone = comm.allgather((made, failures, bad))
     lost = [text for _, some, _ in everyone for text in some]
     if sum(count for *_, count in everyone) == len(points):  # what was asked for makes no sense

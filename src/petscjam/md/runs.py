@@ -13,6 +13,7 @@ import numpy as np
 
 from petscjam.damping import DampingLaw
 from petscjam.errors import DoubtfulWarning, InputError, shown
+from petscjam.interrupt import deferred
 from petscjam.md import protocols
 from petscjam.md.book import Book
 from petscjam.md.model import model as model_of
@@ -108,6 +109,7 @@ def ramp(
     return run(protocol, model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options)
 
 
+@deferred()
 def run(
     protocol: Protocol, model: str | DampingLaw, n: int | None = None, phi: float | None = None,
     Q: float = 1.0, *, seed: int = 1, dt: float | None = None, start: Start = None,

@@ -300,10 +300,10 @@ class Simulation:
         self._divided = self.parts
         d = self._disks
         return {
-            "q": d.q, "radii": d.R, "masses": d.m, "tag": self.tag,
+            "q": d.q.copy(), "radii": d.R.copy(), "masses": d.m.copy(), "tag": self.tag.copy(),
             "contacts": open_contacts(self._pairs, self.tag),
             "numbers": np.array([self.L, self.strain, self.rate, self.time, self.skin]),
-            "counts": np.array([self.steps, self.rebuilds]), "start": self._start,
+            "counts": np.array([self.steps, self.rebuilds]), "start": self._start.copy(),
         }  # fmt: skip
 
     @classmethod

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from petscjam.errors import InputError, SolverError, shown
+from petscjam.interrupt import Interrupted, deferred
 from petscjam.network import ContactNetwork
 from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
@@ -110,6 +111,7 @@ class _Series:
         return self.n * pressure**-0.3
 
 
+@deferred()
 def prepare_library(
     folder: str | PathLike[str],
     particles: Iterable[int] = (1024,),
@@ -161,7 +163,7 @@ def prepare_library(
     def work(s: _Series) -> float:
         return sum(s.cost(pressure) for pressure, name in s.names() if name in missing)
 
-    error: Exception | None = None
+    error: Exception | Interrupted | None = None
     with teams(comm) as team:
         mine = team.deal(todo, work)
         done, everything = 0.0, sum(map(work, mine))
@@ -170,7 +172,7 @@ def prepare_library(
                 report = _share(progress, done / everything, work(s) / everything)
                 _make(folder, s, settings, missing, report, threads=threads, budget=budget)
                 done += work(s)
-        except Exception as caught:  # a full disk, for instance: this rank's alone
+        except (Exception, Interrupted) as caught:  # a full disk, for instance: this rank's alone
             error = caught
     raise_together(comm, error)
     return replace(on_root(comm, read_library, folder), tried=frozenset(missing))

@@ -15,6 +15,7 @@ import numpy as np
 
 from petscjam.box import Array
 from petscjam.errors import SolverError
+from petscjam.interrupt import check
 from petscjam.packing.packing import Packing
 
 NOTHING = np.zeros((0, 2, 2))
@@ -170,7 +171,8 @@ class Enthalpy:
         return len(self.radii), self.cell, self.pairs, self.exponent, self._threads, self._true, self._sums
 
     def count(self, z: Array, gradients: int) -> None:
-        """Book ``gradients`` against the budget, and report now and then."""
+        """Book ``gradients`` against the budget, report now and then, and stop if a signal has come."""
+        check()
         before = self.evaluations
         self.evaluations += gradients
         if self.report is not None and self.evaluations // REPORT_EVERY > before // REPORT_EVERY:

@@ -14,6 +14,7 @@ import numpy as np
 
 from petscjam.box import Array, Box
 from petscjam.errors import InputError, SolverError, shown
+from petscjam.interrupt import deferred
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import Instability, judge
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
@@ -33,6 +34,7 @@ HISTORY = 200  # points kept of the history of a preparation
 DIGITS = 1e6  # forces are to stand out from rounding by as much
 
 
+@deferred()
 def prepare_packing(
     n: int = 1024,
     pressure: float = 1e-3,
@@ -112,6 +114,7 @@ def prepare_packing(
     return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, log_book)
 
 
+@deferred()
 def relax_packing(
     packing: Packing,
     pressure: float | None = None,

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from petscjam.errors import InputError, SolverError
+from petscjam.interrupt import Interrupted
 
 T = TypeVar("T")
 
@@ -55,11 +56,11 @@ def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) 
     An error that is not ours stays as it is on rank 0, and is a RuntimeError elsewhere.
     """
     result: Any = None
-    error: Exception | None = None
+    error: Exception | Interrupted | None = None
     if comm.rank == 0:
         try:
             result = work(*arguments, **options)
-        except Exception as caught:
+        except (Exception, Interrupted) as caught:
             error = caught
     result, shared = comm.bcast((result, _for_others(error)))
     if shared is not None:
@@ -67,7 +68,7 @@ def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) 
     return result
 
 
-def raise_together(comm: Any, error: Exception | None) -> None:
+def raise_together(comm: Any, error: Exception | Interrupted | None) -> None:
     """Raise if any rank brings an error: its own on that rank, elsewhere that of the lowest such rank.
 
     Collective. An error that is not ours is a RuntimeError on the other ranks.
@@ -77,8 +78,9 @@ def raise_together(comm: Any, error: Exception | None) -> None:
         raise error or shared[0]
 
 
-def _for_others(error: Exception | None) -> Exception | None:
-    return error if isinstance(error, InputError | SolverError) else error and RuntimeError(repr(error))
+def _for_others(error: Exception | Interrupted | None) -> Exception | Interrupted | None:
+    ours = isinstance(error, InputError | SolverError | Interrupted)
+    return error if ours else error and RuntimeError(repr(error))
 
 
 def total(comm: Any, share: Any) -> Any:
@@ -89,14 +91,14 @@ def total(comm: Any, share: Any) -> Any:
     return out if out.ndim else out[()]
 
 
-def exit_together(comm: Any, code: int, message: str) -> int:
-    """Agree on an exit: together if every rank is leaving, else by MPI_Abort within seconds.
+def exit_together(comm: Any, code: int, message: str, patience: float = 2.0) -> int:
+    """Agree on an exit: together if every rank is leaving, else by MPI_Abort after ``patience``, s.
 
     ``comm`` spans all ranks and is used for nothing else. The message is printed once where every
     rank leaves, else by the rank that failed.
     """
     everyone = comm.Ibarrier()
-    patience = time.monotonic() + 2.0
+    patience += time.monotonic()
     while not everyone.Test():
         if time.monotonic() > patience:
             print(f"{message} (rank {comm.rank} of {comm.size})", file=sys.stderr, flush=True)

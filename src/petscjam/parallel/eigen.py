@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from petscjam.box import Array
 from petscjam.errors import SolverError
+from petscjam.interrupt import check
 from petscjam.parallel.comm import total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
@@ -281,6 +282,7 @@ def _solved(
     eps.setInitialSpace(spaces[0])
     eps.setDeflationSpace(spaces[1:])
     with _failing_in_words(), destroying(eps, *spaces):
+        check(A.comm.tompi4py())
         with stage("eigensolve"):
             eps.solve()
         new = min(eps.getConverged(), count)

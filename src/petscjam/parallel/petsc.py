@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from petscjam.errors import InputError, SolverError
+from petscjam.interrupt import Interrupted, deferred
 
 ADVICE = (
     'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
@@ -113,17 +114,18 @@ def slepc() -> ModuleType:
 
 @contextmanager
 def destroying(*objects: Any) -> Iterator[None]:
-    """Destroy PETSc objects on leaving. That is collective, and so are our own errors.
+    """Destroy PETSc objects on leaving; Ctrl-C waits. That is collective, and so are our own errors.
 
     Any other exception may be this rank's alone: it goes on at once, and the objects are left to the
     end of the program.
     """
-    try:
-        yield
-    except (InputError, SolverError):
+    with deferred():
+        try:
+            yield
+        except (InputError, SolverError, Interrupted):
+            _destroy(objects)
+            raise
         _destroy(objects)
-        raise
-    _destroy(objects)
 
 
 def _destroy(objects: Sequence[Any]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
+from petscjam.interrupt import check
 from petscjam.parallel.petsc import destroying, petsc, stage
 
 OUT_OF_WORKSPACE = (-8, -9)
@@ -34,6 +35,7 @@ class DirectSolver:
     ) -> None:
         PETSc = petsc()
         self.factorisations = 0
+        self._comm = comm
         self._definite, self._out_of_core, self._block_low_rank = definite, out_of_core, block_low_rank
         self._A: Any = None
         self.ksp = PETSc.KSP().create(comm)
@@ -50,7 +52,10 @@ class DirectSolver:
         ------
         SolverError
             If MUMPS fails, with its code and advice.
+        Interrupted
+            If a signal has come.
         """
+        check(self._comm)
         first = self._A is None
         self._A = A
         if A.size[0] == 0:
