@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array
 from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import InputError, SolverError, readable
 from petscjam.interrupt import Interrupted, check, deferred
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
@@ -59,6 +59,11 @@ class Job:
     particles: int
     groups: dict[Any, str]
     prestress: bool
+
+    @property
+    def name(self) -> str:
+        """Name of the packing."""
+        return readable(self.file.stem)
 
     def missing(self, there: set[tuple[str, str, bool]]) -> set[str]:
         """Return the names of results that are not ``there``. The model is that of all laws all the same."""
@@ -176,7 +181,7 @@ def survey(
             with naming(job.file):
                 yield name, analyse(
                     packing, **settings, **({} if law is None else {"damping": law}), prestress=job.prestress,
-                    comm=team.comm, name=job.file.stem, progress=report,
+                    comm=team.comm, name=job.name, progress=report,
                 )  # fmt: skip
 
     jobs, there = on_root(comm, plan)
@@ -223,9 +228,9 @@ def _run(
         with teams(comm, min(size, comm.size)) as team:
             mine = team.deal(jobs, lambda job: job.particles)
             for k, job in enumerate(mine):
-                report = part(progress, k, len(mine), f"{job.file.stem}: ") if progress else None
+                report = part(progress, k, len(mine), f"{job.name}: ") if progress else None
                 if job.particles >= LARGE and team.comm.rank == 0:
-                    log(f"{job.file.stem}: {job.particles} disks, a factor of about "
+                    log(f"{job.name}: {job.particles} disks, a factor of about "
                         f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks")  # fmt: skip
                 start = time.perf_counter()
                 try:
@@ -280,7 +285,7 @@ def _jobs(
     seen = set()
     for file in files:
         packing = import_packing(file)
-        name = group_name(packing, file.stem)
+        name = group_name(packing, readable(file.stem))
         if name in seen:
             continue
         seen.add(name)
@@ -309,7 +314,7 @@ def _solve(
     """Yield the results of ``job`` by name."""
     packing: Packing = on_root(team.comm, import_packing, job.file)
     common: dict[str, Any] = {
-        "strain": strain, "prestress": job.prestress, "comm": team.comm, "name": job.file.stem,
+        "strain": strain, "prestress": job.prestress, "comm": team.comm, "name": job.name,
         "progress": report,
     }  # fmt: skip
     first = next(iter(job.groups))

@@ -18,3 +18,8 @@ def shown(value: object) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(shown, value))})"
     return repr(value.tolist() if hasattr(value, "tolist") else value)
+
+
+def readable(name: str) -> str:
+    """Return the name of a file with ? for bytes that are no text: neither HDF5 nor UTF-8 can keep them."""
+    return name.encode(errors="replace").decode()

@@ -11,10 +11,11 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import Any
 
+from petscjam.cli.streams import Stream
 from petscjam.errors import InputError, SolverError
 from petscjam.interrupt import Interrupted, listening
 
@@ -23,11 +24,17 @@ STOPPING = 10.0  # seconds that ranks wait for each other where a signal stops t
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status, the same on every rank."""
-    with listening(signal.SIGINT, signal.SIGTERM):
-        status = _main(arguments)
+    out, err = Stream(sys.stdout), Stream(sys.stderr)
+    with listening(signal.SIGINT, signal.SIGTERM), redirect_stdout(out), redirect_stderr(err):
+        try:
+            status = _main(arguments)
+        finally:
+            out.flush()
+            if out.error is not None:
+                print(f"petscjam: standard output: {out.error.strerror}", file=err)
     if arguments is None:  # nothing is left that a signal could harm
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return status
+    return status or int(out.error is not None)
 
 
 def _main(arguments: Sequence[str] | None) -> int:

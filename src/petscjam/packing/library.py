@@ -265,7 +265,7 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
                            "recipe": asdict(recipe)}, indent=2)  # fmt: skip
         write_atomically(folder / RECIPE, f"{text}\n".encode())
     lines = [dict(zip(COLUMNS, COLUMNS, strict=True)), *library.rows, *library.failed]
-    write_atomically(folder / INDEX, "".join(map(_line, lines)).encode())
+    write_atomically(folder / INDEX, "".join(map(_line, lines)).encode(errors="surrogateescape"))
     return missing
 
 
@@ -367,7 +367,7 @@ def _logged(file: Path) -> dict[str, dict[str, str]]:
     if not file.exists():
         return {}
     with naming(file):
-        text = file.read_bytes().decode(errors="replace").replace("\0", "")
+        text = file.read_bytes().decode(errors="surrogateescape").replace("\0", "")
     lines = [next(csv.reader([line]), []) for line in text.splitlines()[1:]]
     return {line[0]: dict(zip(COLUMNS, line, strict=True)) for line in lines if len(line) == len(COLUMNS)}
 
@@ -440,6 +440,6 @@ def _append(file: Path, row: Mapping[str, Any]) -> None:
     with naming(file):
         index = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
-            os.write(index, _line(row).encode())
+            os.write(index, _line(row).encode(errors="surrogateescape"))
         finally:
             os.close(index)

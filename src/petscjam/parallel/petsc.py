@@ -60,7 +60,10 @@ def petsc() -> ModuleType:
         import petsc4py
         from mpi4py import MPI
 
-        petsc4py.init(["petscjam", *_options], comm=_world[0] if _world else MPI.COMM_SELF)
+        # Its handlers would end the job where a pipe closes, or where a signal is to stop it.
+        petsc4py.init(
+            ["petscjam", "-no_signal_handler", *_options], comm=_world[0] if _world else MPI.COMM_SELF
+        )
         from petsc4py import PETSc
     except ImportError as error:
         raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None

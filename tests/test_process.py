@@ -1,0 +1,97 @@
+"""The process that runs a command: its streams, names, launcher, compiled kernels, limits."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import petscjam as pj
+from petscjam.cli import main
+from petscjam.cli.streams import Stream
+
+COMMAND = [sys.executable, "-m", "petscjam"]
+SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
+
+
+@pytest.fixture
+def packing(tmp_path):
+    path = tmp_path / "sixteen.h5"
+    pj.import_packing(SIXTEEN).write(path)
+    return path
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_computation_goes_on_where_nobody_reads(packing, tmp_path, environment, stream):
+    reader, writer = os.pipe()
+    os.close(reader)
+    given = [*COMMAND, "moduli", packing, "--omega", "1,2", "-o", tmp_path / "g.h5"]
+    other = {"stdout": "stderr", "stderr": "stdout"}[stream]
+    done = subprocess.run(given, env=environment, **{stream: writer, other: subprocess.PIPE}, timeout=120)
+    os.close(writer)
+    assert done.returncode == 0
+    assert b"Traceback" not in getattr(done, other)
+    assert pj.read_modulus(tmp_path / "g.h5").omega.tolist() == [1.0, 2.0]
+
+
+def test_what_could_not_be_printed_is_said(packing, tmp_path, environment):
+    given = [*COMMAND, "moduli", packing, "--omega", "1,2", "-o", tmp_path / "g.h5"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            given, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120
+        )
+    assert done.returncode == 1
+    assert done.stderr.endswith("petscjam: standard output: No space left on device\n")
+    assert "Traceback" not in done.stderr
+    assert pj.read_modulus(tmp_path / "g.h5").omega.tolist() == [1.0, 2.0]
+
+
+def test_a_command_without_streams(packing, environment):
+    done = subprocess.run(
+        ["bash", "-c", '"$@" >&- 2>&-', "bash", *COMMAND, "info", packing], env=environment, timeout=120
+    )
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_characters_that_the_terminal_lacks_are_replaced(environment, encoding):
+    done = subprocess.run(
+        [*COMMAND, "shear", "--help"], capture_output=True, timeout=120,
+        env={**environment, "PYTHONIOENCODING": encoding},
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stderr == b""
+    assert b"--particles N,?" in done.stdout
+
+
+def test_a_stream_goes_on_after_an_error():
+    with open("/dev/full", "w") as full:
+        stream = Stream(full)
+        stream.write("lost")
+        assert stream.error is None  # Python keeps it for now
+        stream.flush()
+        assert stream.error.strerror == "No space left on device"
+        stream.write("lost, too")
+        stream.flush()
+
+
+def test_names_that_are_no_text(tmp_path, packing, capsys):
+    odd = tmp_path / os.fsdecode(b"sixteen\xff.h5")
+    packing.rename(odd)
+    out = tmp_path / os.fsdecode(b"\xfe.h5")
+    assert main(["moduli", str(odd), "--omega", "1,2", "-o", str(out)]) == 0
+    assert [name[:8] for name in pj.read_moduli(out)] == ["sixteen?"]
+    for verb in ("info", "plot", "export"):
+        assert main([verb, str(out)]) == 0
+    assert main(["info", str(tmp_path / os.fsdecode(b"none\xff.h5"))]) == 2
+    assert capsys.readouterr().err.endswith(".h5: No such file or directory\n")
+
+
+def test_a_library_with_a_name_that_is_no_text(tmp_path):
+    pj.prepare_library(tmp_path, [16], [1e-2])
+    odd = os.fsdecode(b"\xff.h5")
+    (tmp_path / "N16_p0.01_s0001.h5").rename(tmp_path / odd)
+    pj.prepare_library(tmp_path, [16], [1e-2], resume=True)
+    library = pj.prepare_library(tmp_path, [16], [1e-2], resume=True)
+    assert {row["file"] for row in library.rows} == {"N16_p0.01_s0001.h5", odd}
