@@ -395,14 +395,6 @@ def test_mpirun_help_prints_once(mpirun):
     assert mpirun(2, "-m", "petscjam", "--help").stdout.count("usage:") == 1
 
 
-@pytest.mark.parametrize("variable", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"])
-def test_ranks_of_a_foreign_mpirun_are_refused(variable, monkeypatch, capsys):
-    """mpi4py takes each for the only one; both would do the whole work and write one file."""
-    monkeypatch.setenv(variable, "2")
-    assert main(["info", str(SIXTEEN)]) == 2
-    assert "2 ranks were started, but each is alone" in capsys.readouterr().err
-
-
 def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
     """Rank 1 fails in the middle of a sweep, where rank 0 waits for it."""
     script = (

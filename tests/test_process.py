@@ -95,3 +95,32 @@ def test_a_library_with_a_name_that_is_no_text(tmp_path):
     pj.prepare_library(tmp_path, [16], [1e-2], resume=True)
     library = pj.prepare_library(tmp_path, [16], [1e-2], resume=True)
     assert {row["file"] for row in library.rows} == {"N16_p0.01_s0001.h5", odd}
+
+
+@pytest.mark.parametrize(
+    "variable", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"]
+)
+def test_the_launcher_of_another_mpi_is_refused(packing, tmp_path, monkeypatch, capsys, variable):
+    """Each of its ranks would be alone, and all of them write one file."""
+    from mpi4py import MPI
+
+    monkeypatch.setenv(variable, "4")
+    assert main(["moduli", str(packing), "--omega", "1,2", "-o", str(tmp_path / "g.h5")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("petscjam: 4 ranks were started, but each is alone: ")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "g.h5").exists()
+    with pytest.raises(pj.InputError, match="4 ranks were started"):
+        pj.complex_modulus(pj.Packing.read(packing), [1.0], comm=MPI.COMM_WORLD)
+    assert pj.complex_modulus(pj.Packing.read(packing), [1.0], comm=MPI.COMM_SELF).G0 > 0
+
+
+@pytest.mark.parametrize("variables", [{"SLURM_NTASKS": "4"}, {"PMI_SIZE": "1", "SLURM_STEP_NUM_TASKS": "4"},
+                                       {"PMI_SIZE": "many"}])  # fmt: skip
+def test_one_process_in_a_job_of_several_is_no_mistake(monkeypatch, variables):
+    """A batch script is alone, and the innermost launcher counts."""
+    from petscjam.parallel.comm import world
+
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert world().size == 1

@@ -17,6 +17,11 @@ from petscjam.interrupt import Interrupted
 T = TypeVar("T")
 
 
+# What tells a process how many were started with it: Open MPI, MPICH and its kin, MVAPICH; Slurm's srun where
+# none of them speaks. A batch script has SLURM_NTASKS, too, but is alone.
+LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
+
+
 def world() -> Any:
     """Return COMM_WORLD.
 
@@ -27,22 +32,28 @@ def world() -> Any:
     """
     from mpi4py import MPI
 
-    ranks = os.environ.get("OMPI_COMM_WORLD_SIZE") or os.environ.get("PMI_SIZE") or "1"  # Open MPI, MPICH
+    ranks = next((os.environ[name] for name in LAUNCHERS if os.environ.get(name, "").isdigit()), "1")
     if MPI.COMM_WORLD.size == 1 < int(ranks):
         beside = Path(sys.executable).with_name("mpirun")
         raise InputError(
-            f"{ranks} ranks were started, but each is alone: this mpirun is not of {MPI.get_vendor()[0]}, "
-            f"the MPI of mpi4py; take {beside if beside.exists() else 'that one'}"
+            f"{ranks} ranks were started, but each is alone: the launcher (mpirun, srun) is not that of "
+            f"{MPI.get_vendor()[0]}, the MPI of mpi4py; take {beside if beside.exists() else 'that one'}"
         )
     return MPI.COMM_WORLD
 
 
 def resolve(comm: Any = None) -> Any:
-    """Return ``comm``; left out, COMM_SELF, with a warning if the program runs on several ranks."""
+    """Return ``comm``; left out, COMM_SELF, with a warning if the program runs on several ranks.
+
+    Raises
+    ------
+    InputError
+        As :func:`world`, if ``comm`` is COMM_WORLD.
+    """
     from mpi4py import MPI
 
     if comm is not None:
-        return comm
+        return world() if comm == MPI.COMM_WORLD else comm
     if MPI.COMM_WORLD.size > 1 and MPI.COMM_WORLD.rank == 0:
         import warnings
 
