@@ -1,5 +1,6 @@
 """The process that runs a command: its streams, names, launcher, compiled kernels, limits."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -124,3 +125,103 @@ def test_one_process_in_a_job_of_several_is_no_mistake(monkeypatch, variables):
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert world().size == 1
+
+
+LOOP = """
+from petscjam.compiled import njit
+
+@njit(cache=True)
+def double(x):
+    return 2 * x
+"""
+
+
+def loop(folder):
+    """Import a compiled function anew, as another process would."""
+    (folder / "loops.py").write_text(LOOP)
+    spec = importlib.util.spec_from_file_location("loops", folder / "loops.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.double
+
+
+def test_a_loop_is_compiled_once(tmp_path):
+    assert loop(tmp_path)(21) == 42
+    again = loop(tmp_path)
+    assert again(21) == 42
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", [b"", b"\x80\x04rubbish", None])
+def test_a_damaged_cache_is_replaced(tmp_path, ending, damage):
+    loop(tmp_path)(21)
+    (file,) = (tmp_path / "__pycache__").glob(f"*.{ending}")
+    file.write_bytes(file.read_bytes()[:-50] if damage is None else damage)
+    with pytest.warns(RuntimeWarning, match="numba's cache cannot be used"):
+        assert loop(tmp_path)(21) == 42
+    again = loop(tmp_path)
+    assert again(21) == 42
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+def test_a_full_disk_costs_the_cache_only(tmp_path, monkeypatch):
+    from numba.core.caching import IndexDataCacheFile
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
+    with pytest.warns(RuntimeWarning, match="No space left on device"):
+        assert loop(tmp_path)(21) == 42
+
+
+def test_no_folder_for_the_cache(tmp_path, monkeypatch):
+    from numba.core.caching import CacheImpl
+
+    monkeypatch.setattr(CacheImpl, "_locator_classes", [])
+    with pytest.warns(RuntimeWarning, match="no locator available"):
+        assert loop(tmp_path)(21) == 42
+
+
+@pytest.mark.parametrize(
+    "variable",
+    [("NUMBA_NUM_THREADS", "-1"), ("NUMBA_THREADING_LAYER", "tbb"), ("NUMBA_THREADING_LAYER", "x")],
+)
+def test_a_numba_that_cannot_start_is_a_line(tmp_path, environment, variable):
+    if variable[1] == "tbb" and importlib.util.find_spec("tbb"):
+        pytest.skip("this machine has TBB")
+    given = [*COMMAND, "prepare", "--particles", "16", "-o", tmp_path / "p.h5"]
+    done = subprocess.run(
+        given, env={**environment, variable[0]: variable[1]}, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("petscjam: numba cannot start: ")
+    assert done.stderr.count("\n") == 1
+
+
+FORKED = """
+import os, sys
+import petscjam as pj
+pj.prepare_packing(16, 1e-2)
+if os.fork() == 0:
+    pj.prepare_packing(16, 1e-2)
+    try:
+        pj.md.shear(n=16, strain=0.1, rate=1e-2, threads=2)
+    except pj.InputError as error:
+        print(error, flush=True)
+        os._exit(3)
+    os._exit(0)
+print(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+
+
+def test_threads_in_a_forked_child_are_refused(environment):
+    """They hang or abort (OpenMP) there; without threads it works."""
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED], env={**environment, "NUMBA_NUM_THREADS": "2"}, capture_output=True,
+        text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("threads = 2: this process was forked")
+    assert done.stdout.endswith("3\n")

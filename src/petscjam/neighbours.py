@@ -13,10 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from petscjam.box import Array, Box, Integers
+from petscjam.compiled import njit
 from petscjam.errors import InputError
 from petscjam.parallel.memory import available_memory
 

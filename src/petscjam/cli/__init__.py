@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
@@ -24,6 +25,8 @@ STOPPING = 10.0  # seconds that ranks wait for each other where a signal stops t
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status, the same on every rank."""
+    if arguments is None:
+        warnings.formatwarning = lambda text, *_: f"petscjam: warning: {text}\n"
     out, err = Stream(sys.stdout), Stream(sys.stderr)
     with listening(signal.SIGINT, signal.SIGTERM), redirect_stdout(out), redirect_stderr(err):
         try:

@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from petscjam.box import Array
+from petscjam.compiled import njit, prange
 from petscjam.neighbours import CHUNK
 
 BATCH = 256

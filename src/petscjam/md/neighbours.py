@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petscjam.box import Array
+from petscjam.compiled import njit
 from petscjam.neighbours import find
 
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.compiled import use_threads
 from petscjam.damping import DampingLaw
-from petscjam.errors import DoubtfulWarning, InputError, shown
+from petscjam.errors import DoubtfulWarning, InputError
 from petscjam.interrupt import deferred
 from petscjam.md import protocols
 from petscjam.md.book import Book
@@ -145,7 +146,7 @@ def run(
     progress : callable
         See :mod:`petscjam.progress`.
     """
-    _check_threads(threads)
+    use_threads(threads)
     if frames and output is None:
         raise InputError("shear: frames are written beside the output: give one")
     earlier = _reopened(output) if output is not None and resume and Path(output).exists() else None
@@ -179,22 +180,10 @@ def run(
                         time0=first.time)  # fmt: skip
         simulation = Simulation(first, law, dt, integrator, threads)
         book = Book(settings, simulation)
-    if threads > 1:
-        import numba
-
-        numba.set_num_threads(threads)
     made = book.fill(simulation, protocol, total, output, frames, progress)
     for text in made.warnings:
-        warnings.warn(text, DoubtfulWarning, stacklevel=2)
+        warnings.warn(text, DoubtfulWarning, stacklevel=3)
     return made
-
-
-def _check_threads(threads: int) -> None:
-    from numba import config
-
-    most: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    if not 1 <= threads <= most:
-        raise InputError(f"shear: threads must be from 1 to {most} (NUMBA_NUM_THREADS), not {shown(threads)}")
 
 
 def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:

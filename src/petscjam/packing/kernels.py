@@ -9,8 +9,8 @@ Axes: i, j disks of pair c.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from petscjam.compiled import njit, prange
 from petscjam.neighbours import CHUNK
 
 BATCH = 256

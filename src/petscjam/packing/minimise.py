@@ -223,9 +223,9 @@ def _use_threads(threads: int, n: int) -> bool:
     from petscjam.neighbours import CHUNK
 
     if threads > 1 and n > CHUNK:
-        import numba
+        from petscjam.compiled import MOST_THREADS, use_threads
 
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+        use_threads(min(threads, MOST_THREADS))
         return True
     return False
 

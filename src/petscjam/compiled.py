@@ -1,0 +1,94 @@
+"""Loops compiled by numba: kept on disk where that is possible, and with threads where those can start."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from petscjam.errors import InputError, shown
+
+try:
+    import numba
+
+    numba.get_num_threads()  # starts them: a layer that is missing is noticed here
+except Exception as error:
+    raise InputError(
+        f"numba cannot start: {' '.join(str(error).split())}; its settings are the variables NUMBA_…"
+    ) from error
+
+prange = numba.prange
+MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+_forked = False
+T = TypeVar("T")
+
+
+def njit(**options: Any) -> Callable[[T], T]:
+    """Return numba.njit with these options; with ``cache`` the result is kept on disk, if that can be.
+
+    Where that cannot be written or read, a warning says so, and the loop is compiled at every start.
+    """
+    cache = options.pop("cache", False)
+
+    def decorate(function: T) -> T:
+        loop = numba.njit(**options)(function)
+        if cache and loop is not function:  # it is with NUMBA_DISABLE_JIT
+            try:
+                loop.enable_caching()
+            except RuntimeError as error:  # no folder can be written
+                _warn(error)
+            else:
+                kept = loop._cache
+                kept.load_overload = _forgiving(kept.load_overload, kept.flush)
+                kept.save_overload = _forgiving(kept.save_overload, kept.flush)
+        return loop
+
+    return decorate
+
+
+def _forgiving(work: Callable[..., Any], clear: Callable[[], None]) -> Callable[..., Any]:
+    def tried(*arguments: Any) -> Any:
+        try:
+            return work(*arguments)
+        except Exception as error:
+            _warn(error)
+            with suppress(Exception):  # a damaged file is replaced
+                clear()
+            return None
+
+    return tried
+
+
+def _warn(error: Exception) -> None:
+    text = (
+        f"numba's cache cannot be used ({type(error).__name__}: {error}); every start compiles for a minute"
+    )
+    warnings.warn(text, RuntimeWarning, stacklevel=2)
+
+
+def use_threads(count: int) -> None:
+    """Let parallel loops have ``count`` threads.
+
+    Raises
+    ------
+    InputError
+        If there are fewer (NUMBA_NUM_THREADS), or this process was forked off: threads do not survive that.
+    """
+    if not 1 <= count <= MOST_THREADS:
+        raise InputError(f"threads must be from 1 to {MOST_THREADS} (NUMBA_NUM_THREADS), not {shown(count)}")
+    if count > 1 and _forked:
+        raise InputError(
+            f"threads = {count}: this process was forked from one that has threads, and can have one only; "
+            "start it by spawn (multiprocessing.get_context)"
+        )
+    numba.set_num_threads(count)
+
+
+def _remember() -> None:
+    global _forked
+    _forked = True
+
+
+os.register_at_fork(after_in_child=_remember)
