@@ -25,7 +25,7 @@ from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import on_root, raise_together
+from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.progress import Report, part
@@ -107,6 +107,8 @@ def sweep(
     InputError
         On files that are missing or no packings, an output that exists or was made with other settings.
     """
+    agree(comm, files, omegas, output, laws, prestress, strain, rtol, direct, fields_at, team_size, resume,
+          overwrite, out_of_core, block_low_rank)  # fmt: skip
     fields_at = np.asarray(fields_at, dtype=float)
 
     def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
@@ -160,6 +162,7 @@ def survey(
         On files that are missing or no packings, an output that exists or was made with other settings.
     """
     wanted = f"{analyse.__name__}({', '.join(f'{key}={_plainly(value)}' for key, value in settings.items())})"
+    agree(comm, files, output, wanted, laws, prestress, team_size, resume, overwrite)
 
     def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
         _check_files(files, output, overwrite=overwrite or resume)

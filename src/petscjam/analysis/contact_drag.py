@@ -24,14 +24,14 @@ from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import Field, strain_mode
 from petscjam.network import rounded
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import petsc
 from petscjam.parallel.solver import direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import LARGEST_RESIDUAL
 from petscjam.response.matrices import assembled
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import frequencies
 
 MEMORY = 6  # iterations that the next one is made of
@@ -106,8 +106,7 @@ def self_consistent_drag(
         If a solve fails or its residual is not small.
     """
     comm = resolve(comm)
-    settings = np.asarray(omegas).tolist(), stress, alpha, strain, prestress, rtol, floor, most_iterations
-    agree(comm, packing, *settings)
+    agree(comm, packing, omegas, stress, alpha, strain, prestress, rtol, floor, most_iterations)
     check_amplitude(stress, alpha)
     d, omega = packing.mean_diameter, frequencies(omegas)
     k = packing.potential.unit(d)

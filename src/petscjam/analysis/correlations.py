@@ -22,9 +22,8 @@ from petscjam.damping import DampingLaw
 from petscjam.errors import InputError, shown
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.progress import Report
-from petscjam.response.problem import agree
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import Judged, frequencies
 from petscjam.response.spectrum import Spectrum
@@ -151,8 +150,9 @@ def correlations(
     SolverError
         If a solve fails.
     """
-    comm, omega = resolve(comm), frequencies(omegas)
-    agree(comm, packing, tuple(omega), damping, prestress, width, bin, rtol)
+    comm = resolve(comm)
+    agree(comm, packing, omegas, damping, prestress, width, bin, rtol)
+    omega = frequencies(omegas)
     width, bin = _or_default(packing, width, bin)
     _Lanes.of(packing, width, bin)  # refuses what makes no sense before anything is solved
     model = spectrum(

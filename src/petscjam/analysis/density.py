@@ -21,11 +21,11 @@ from petscjam.interrupt import check
 from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve, total
+from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.petsc import destroying, stage
 from petscjam.progress import Report
 from petscjam.response.matrices import assembled
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ

@@ -22,6 +22,7 @@ from petscjam.box import Array
 from petscjam.damping import ContactDamping
 from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
+from petscjam.parallel.comm import agree
 from petscjam.potential import potential
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import frequencies
@@ -156,6 +157,8 @@ def equivalent_drag(
     SolverError
         As :func:`petscjam.spectrum`.
     """
+    if options.get("comm") is not None:
+        agree(options["comm"], source, omegas, stress, alpha)
     check_amplitude(stress, alpha)
     omega = frequencies(omegas)
     k = source.potential.unit(source.mean_diameter) if isinstance(source, Packing) else _unit(source)

@@ -16,10 +16,10 @@ from petscjam.damping import ContactDamping
 from petscjam.kinematics import contact_rows, strain_mode
 from petscjam.network import rounded
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.progress import Report
 from petscjam.response.limits import quasistatic
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import Judged
 
 MOTIONS = ("parallel", "transverse", "nonaffine")

@@ -8,10 +8,10 @@ from typing import Any
 from petscjam.damping import DampingLaw, law_or_default
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.progress import Report
 from petscjam.response.limits import zero_frequency
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import Judged
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from petscjam.errors import InputError
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import agree, on_root
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming
 
@@ -76,6 +76,7 @@ def make_figure(
     """
     from petscjam.figures.study import Study
 
+    agree(comm, name, preset, folder, file, overwrite, resume, existing)
     known = on_root(comm, presets, name, file)
     if preset not in known:
         raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")

@@ -12,7 +12,7 @@ from petscjam.damping import DampingLaw
 from petscjam.errors import InputError, SolverError
 from petscjam.interrupt import Interrupted, check, deferred
 from petscjam.md.result import Run
-from petscjam.parallel.comm import on_root, raise_together
+from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.teams import teams
 from petscjam.progress import Report, part
 
@@ -77,6 +77,7 @@ def run_grid(
         If the folder cannot be made, a file is there already (neither ``resume`` nor ``overwrite``), or none
         of the points makes sense.
     """
+    agree(comm, points, folder, resume, overwrite)
 
     def files() -> dict[Point, Path]:
         try:

@@ -25,7 +25,7 @@ from petscjam.network import ContactNetwork
 from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
-from petscjam.parallel.comm import on_root, raise_together, resolve
+from petscjam.parallel.comm import agree, on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming, open_h5, write_atomically
@@ -154,7 +154,10 @@ def prepare_library(
     InputError
         On an argument out of range, if a packing exists, or is of another recipe, or cannot be written.
     """
-    comm, folder, settings = resolve(comm), Path(folder), Recipe(**recipe)
+    comm, folder = resolve(comm), Path(folder)
+    particles, pressures, seeds = list(particles), list(pressures), list(seeds)
+    agree(comm, folder, particles, pressures, seeds, resume, overwrite, budget, sorted(recipe.items()))
+    settings = Recipe(**recipe)
     series = _planned(particles, pressures, seeds, settings, budget)
     missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
     todo = [s for s in series if any(name in missing for _, name in s.names())]

@@ -61,6 +61,20 @@ def resolve(comm: Any = None) -> Any:
     return MPI.COMM_SELF
 
 
+def agree(comm: Any, *arguments: Any) -> None:
+    """Refuse arguments that differ between ranks: those would wait for each other forever. Collective.
+
+    Packings are compared by checksum, arrays by value, anything else by what it prints.
+    """
+    if len(set(comm.allgather(tuple(map(_told, arguments))))) > 1:
+        raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
+
+
+def _told(argument: Any) -> str:
+    checksum = getattr(argument, "checksum", None)
+    return checksum or repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
+
+
 def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
     """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
 

@@ -21,14 +21,14 @@ from petscjam.errors import InputError
 from petscjam.kinematics import strain_mode
 from petscjam.network import rounded
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import limit_or_note, zero_frequency
 from petscjam.response.matrices import assembled
 from petscjam.response.motions import Motions
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum, relaxed
 
@@ -137,7 +137,7 @@ def beta_family(
         As :func:`petscjam.spectrum`; or if ``betas`` is not 0 < low < high.
     """
     comm, start = resolve(comm), time.perf_counter()
-    agree(comm, packing, betas, span, rotations, strain, prestress, rtol, displacements)
+    agree(comm, packing, betas, span, rotations, strain, prestress, rtol, displacements, solver_options)
     for what, pair in (("betas", betas), ("span", span)):
         low, high = checked_span(pair, what)
         if low == high:

@@ -22,13 +22,13 @@ from petscjam.kinematics import contact_rows, strain_mode
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import on_root, resolve, total
+from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.progress import Report
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted

@@ -17,7 +17,7 @@ from petscjam.damping import ContactDamping, DampingLaw, law_or_default
 from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve
+from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
@@ -29,7 +29,7 @@ from petscjam.response.limits import (
     zero_frequency,
 )
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import ComplexModulus, frequencies
 
 
@@ -75,8 +75,7 @@ def complex_modulus(
         If a solve fails or its residual is not small.
     """
     comm = resolve(comm)
-    lists = np.asarray(omegas).tolist(), np.asarray(fields_at).tolist()
-    agree(comm, packing, *lists, damping, strain, prestress)
+    agree(comm, packing, omegas, fields_at, damping, strain, prestress)
     omega = frequencies(omegas)
     kept = frequencies(fields_at, empty=True)
     if not np.isin(kept, omega).all():

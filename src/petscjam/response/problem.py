@@ -10,7 +10,7 @@ import numpy as np
 
 from petscjam.box import Array, Integers
 from petscjam.damping import DampingLaw, viscous_form
-from petscjam.errors import InputError, SolverError
+from petscjam.errors import SolverError
 from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import dependent_rows, matrix, modes
@@ -155,12 +155,6 @@ class LinearProblem:
     def viscosity(self, dissipation: float) -> float:
         """Turn Q†BQ of the first strain mode into its viscosity."""
         return self.strains[0].scale * dissipation / self.packing.box.area
-
-
-def agree(comm: Any, packing: Packing, *settings: Any) -> None:
-    """Refuse arguments that differ between ranks: those would wait for each other forever."""
-    if len(set(comm.allgather((packing.checksum, *map(repr, settings))))) > 1:
-        raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
 
 
 def describe(problem: LinearProblem, name: str) -> dict[str, Any]:

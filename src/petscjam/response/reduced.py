@@ -24,14 +24,14 @@ from petscjam.errors import InputError, SolverError, shown
 from petscjam.kinematics import strain_mode
 from petscjam.network import rounded
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import resolve, total
+from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.motions import Motions
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
 
 PER_DECADE = 32  # frequencies at which the certificate is asked for
@@ -99,7 +99,7 @@ def spectrum(
         If a solve fails.
     """
     comm, start = resolve(comm), time.perf_counter()
-    agree(comm, packing, span, damping, strain, prestress, rtol, displacements)
+    agree(comm, packing, span, damping, strain, prestress, rtol, displacements, solver_options)
     low, high = checked_span(span)
     checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)

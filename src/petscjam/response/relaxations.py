@@ -21,7 +21,7 @@ from petscjam.errors import InputError, SolverError
 from petscjam.kinematics import elastic_form, strain_mode
 from petscjam.packing.certify import matrix, negative_pivots, pivots_below
 from petscjam.packing.packing import Packing
-from petscjam.parallel.comm import on_root, resolve, total
+from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc
@@ -29,7 +29,7 @@ from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.progress import Report
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
-from petscjam.response.problem import LinearProblem, agree, describe
+from petscjam.response.problem import LinearProblem, describe
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
