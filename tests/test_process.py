@@ -2,15 +2,21 @@
 
 import importlib.util
 import os
+import resource
+import shutil
+import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import petscjam as pj
 from petscjam.cli import main
 from petscjam.cli.streams import Stream
+from petscjam.parallel.solver import DirectSolver
 
 COMMAND = [sys.executable, "-m", "petscjam"]
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -225,3 +231,131 @@ def test_threads_in_a_forked_child_are_refused(environment):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("threads = 2: this process was forked")
     assert done.stdout.endswith("3\n")
+
+
+def written(root, texts):
+    for name, text in texts.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+
+
+UNIFIED = {
+    "proc/self/cgroup": "0::/job/step\n",
+    "sys/fs/cgroup/job/memory.max": f"{400 * 2**20}\n",
+    "sys/fs/cgroup/job/memory.current": f"{150 * 2**20}\n",
+    "sys/fs/cgroup/job/memory.stat": f"anon 1\ninactive_file {50 * 2**20}\n",
+    "sys/fs/cgroup/job/step/memory.max": "max\n",
+    "sys/fs/cgroup/job/step/memory.current": "1\n",
+    "sys/fs/cgroup/job/cpu.max": "max 100000\n",
+    "sys/fs/cgroup/job/step/cpu.max": "250000 100000\n",
+}
+OLDER = {
+    "proc/self/cgroup": "4:memory:/docker/1\n1:cpu,cpuacct:/docker/1\n0::/\n",
+    "sys/fs/cgroup/memory/memory.limit_in_bytes": f"{400 * 2**20}\n",  # in a container its own is the root
+    "sys/fs/cgroup/memory/memory.usage_in_bytes": f"{150 * 2**20}\n",
+    "sys/fs/cgroup/memory/memory.stat": f"cache 1\ninactive_file 7\ntotal_inactive_file {50 * 2**20}\n",
+    "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "250000\n",
+    "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
+}
+
+
+@pytest.mark.parametrize("files", [UNIFIED, OLDER], ids=["version 2", "version 1"])
+def test_the_limits_of_a_container_are_seen(tmp_path, monkeypatch, files):
+    from mpi4py import MPI
+
+    from petscjam.parallel import container
+    from petscjam.parallel.memory import available_memory
+    from petscjam.parallel.teams import cores_each
+
+    monkeypatch.setattr(container, "ROOT", tmp_path)
+    assert container.memory_left() == container.cores() == float("inf")
+    written(tmp_path, files)
+    assert container.memory_left() == 300
+    assert available_memory() <= 300
+    assert container.cores() == 2.5
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)))
+    assert cores_each(MPI.COMM_SELF) == 2
+
+
+def test_no_limit_is_no_limit(tmp_path, monkeypatch):
+    from petscjam.parallel import container
+
+    monkeypatch.setattr(container, "ROOT", tmp_path)
+    unlimited = {"sys/fs/cgroup/memory/memory.limit_in_bytes": str(2**63 - 4096),
+                 "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "-1\n"}  # fmt: skip
+    written(tmp_path, OLDER | unlimited)
+    assert container.memory_left() > 1e12
+    assert container.cores() == float("inf")
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_factor_out_of_core_leaves_nothing_behind(comm, tmp_path, monkeypatch):
+    """Nor after an interrupt, and the folder is that which was asked for."""
+    folder = Path(comm.bcast(str(tmp_path)))
+    monkeypatch.setenv("MUMPS_OOC_TMPDIR", str(folder))
+    found = pj.import_packing(SIXTEEN)
+    seen, factor = [], DirectSolver.factor
+
+    def factored(self, A):
+        factor(self, A)
+        comm.barrier()
+        seen.append([file.name for part in folder.glob("petscjam-*") for file in part.iterdir()])
+        if stopping:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(DirectSolver, "factor", factored)
+    for stopping in (False, True):
+        with pytest.raises(KeyboardInterrupt) if stopping else nullcontext():
+            pj.spectrum(found, (1e-2, 1.0), out_of_core=True, comm=comm)
+        comm.barrier()
+        assert seen[0]
+        assert list(folder.iterdir()) == []
+        assert os.environ["MUMPS_OOC_TMPDIR"] == str(folder)
+
+
+def test_a_folder_out_of_core_that_cannot_serve_is_refused(packing, tmp_path, monkeypatch, capsys):
+    wanted = ["moduli", str(packing), "--omega", "1,2", "--out-of-core", "-o", str(tmp_path / "g.h5")]
+    monkeypatch.setenv("MUMPS_OOC_TMPDIR", str(tmp_path / "none"))
+    assert main(wanted) == 2
+    assert f"out of core: there is no folder {tmp_path / 'none'}" in capsys.readouterr().err
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setenv("MUMPS_OOC_TMPDIR", str(scratch))
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "access", lambda path, mode: path != scratch)
+        assert main(wanted) == 2
+    assert "is not writable; MUMPS_OOC_TMPDIR names a folder" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+        assert main(wanted) == 2
+    assert "has 0 MB free; MUMPS_OOC_TMPDIR names a folder" in capsys.readouterr().err
+    assert main(wanted) == 0
+
+
+def test_a_disk_that_fills_up_is_said_in_words(tmp_path, monkeypatch):
+    """A limit on the size of files stands for the disk."""
+    monkeypatch.setenv("MUMPS_OOC_TMPDIR", str(tmp_path))
+    found = pj.prepare_packing(256, 1e-1)
+    pj.spectrum(found, (0.1, 1.0))
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, usual[1]))
+    try:
+        with pytest.raises(pj.SolverError, match=r"could not be kept in .*is the disk full"):
+            pj.spectrum(found, (0.1, 1.0), out_of_core=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_on_one_rank_ends_a_script(tmp_path, mpirun):
+    """As the how-to pages say; without ``-m mpi4py`` rank 0 waits for ever."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from mpi4py import MPI; import petscjam as pj\n"
+        "comm = MPI.COMM_WORLD\n"
+        f"packing = pj.import_packing({str(SIXTEEN)!r} if comm.rank == 0 else 'nofile.h5')\n"
+        "pj.spectrum(packing, (1e-2, 1.0), comm=comm)\n"
+    )
+    run = mpirun(2, "-m", "mpi4py", script, timeout=60)
+    assert run.returncode != 0
+    assert "nofile.h5: No such file or directory" in run.stderr

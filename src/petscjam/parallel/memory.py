@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
+import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from petscjam.errors import InputError
+from petscjam.parallel.comm import raise_together
+from petscjam.parallel.container import memory_left
 
 
 def factor_memory(unknowns: int) -> float:
@@ -21,11 +25,17 @@ def factor_memory(unknowns: int) -> float:
 
 
 def available_memory() -> float:
-    """Return the memory of this machine that is free, MB; infinite where it does not say."""
+    """Return the memory that is free to this process, MB; infinite where the machine does not say."""
+    free = math.inf
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
-        return int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1024
-    return math.inf
+        free = int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1024
+    return min(free, memory_left())
+
+
+def scratch_folder() -> Path:
+    """Return where MUMPS keeps a factor out of core."""
+    return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
 def check_memory(comm: Any, unknowns: int, *, out_of_core: bool = False) -> str:
@@ -34,13 +44,15 @@ def check_memory(comm: Any, unknowns: int, *, out_of_core: bool = False) -> str:
     Raises
     ------
     InputError
-        If a node has less free than its share of that, and ``out_of_core`` is not set.
+        If a node has less free than its share of that, in memory or, ``out_of_core``, in the folder.
     """
     from mpi4py import MPI
 
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     share = factor_memory(unknowns) * node.size / comm.size
     node.Free()
+    if out_of_core:
+        raise_together(comm, _scratch_error(share))
     lacking = comm.allreduce(share - available_memory(), MPI.MAX)
     if lacking > 0 and not out_of_core:
         raise InputError(
@@ -48,6 +60,22 @@ def check_memory(comm: Any, unknowns: int, *, out_of_core: bool = False) -> str:
             f"{lacking:.0f} MB more than are free: take more nodes, or keep it out of core"
         )
     return f"{unknowns} unknowns, the factor needs about {factor_memory(unknowns):.0f} MB"
+
+
+def _scratch_error(share: float) -> InputError | None:
+    """Say why the scratch folder cannot take ``share``, MB."""
+    folder = scratch_folder()
+    advice = "MUMPS_OOC_TMPDIR names a folder for the factor"
+    if not folder.is_dir():
+        return InputError(f"out of core: there is no folder {folder}; {advice}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return InputError(f"out of core: the folder {folder} is not writable; {advice}")
+    free = shutil.disk_usage(folder).free / 2**20
+    if free < share:
+        return InputError(
+            f"out of core: the factor needs about {share:.0f} MB, {folder} has {free:.0f} MB free; {advice}"
+        )
+    return None
 
 
 def give_back_memory() -> None:

@@ -5,14 +5,17 @@ Symbolic analysis is done once, for the first matrix; every new matrix is factor
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from numpy.typing import NDArray
 
 from petscjam.errors import SolverError
 from petscjam.interrupt import check
+from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
 
 OUT_OF_WORKSPACE = (-8, -9)
@@ -182,8 +185,23 @@ def direct_solver(
     compresses the factor to this relative accuracy, which refinement makes up for; 0: exact.
     """
     solver = DirectSolver(comm, prefix, definite, out_of_core, block_low_rank)
-    with destroying(solver.ksp):
+    with _scratch() if out_of_core else nullcontext(), destroying(solver.ksp):
         yield solver
+
+
+@contextmanager
+def _scratch() -> Iterator[None]:
+    """Give MUMPS a folder of its own in that for factors out of core, and remove it, come what may."""
+    before = os.environ.get("MUMPS_OOC_TMPDIR")
+    with TemporaryDirectory(prefix="petscjam-", dir=scratch_folder(), ignore_cleanup_errors=True) as own:
+        os.environ["MUMPS_OOC_TMPDIR"] = own
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["MUMPS_OOC_TMPDIR"]
+            else:
+                os.environ["MUMPS_OOC_TMPDIR"] = before
 
 
 def _advice(code: int, factor: Any) -> str:
@@ -194,6 +212,9 @@ def _advice(code: int, factor: Any) -> str:
         )
     if code == -13:
         return "out of memory (INFOG(1) = -13); use more ranks, or MUMPS out of core (mat_mumps_icntl_22 1)"
+    if code == -90:
+        folder = os.environ.get("MUMPS_OOC_TMPDIR")
+        return f"the factor could not be kept in {folder} (INFOG(1) = -90); is the disk full?"
     if code in (-6, -10):
         return f"the matrix is singular (INFOG(1) = {code}): there are free motions that nothing resists"
     return f"INFOG(1) = {code}, INFOG(2) = {factor.getMumpsInfog(2)} (MUMPS manual, section on errors)"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from petscjam.errors import InputError
+from petscjam.parallel import container
 
 T = TypeVar("T")
 
@@ -51,12 +52,16 @@ def teams(comm: Any, size: int = 1) -> Iterator[Team]:
 
 
 def cores_each(comm: Any) -> int:
-    """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not."""
+    """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not.
+
+    No more than the limit of a container.
+    """
     from mpi4py import MPI
 
     mine = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     cores = set().union(*node.allgather(set(mine)))
+    limit = node.allreduce(container.cores(), MPI.MIN)
     ranks = node.size
     node.Free()
-    return max(1, len(cores) // ranks)
+    return max(1, int(min(len(cores), limit)) // ranks)
