@@ -359,3 +359,25 @@ def test_an_error_on_one_rank_ends_a_script(tmp_path, mpirun):
     run = mpirun(2, "-m", "mpi4py", script, timeout=60)
     assert run.returncode != 0
     assert "nofile.h5: No such file or directory" in run.stderr
+
+
+def test_a_run_that_goes_on_elsewhere_says_that_bits_may_differ(tmp_path, monkeypatch, capsys, recwarn):
+    from petscjam.md import runs
+
+    out = tmp_path / "run.h5"
+    short = {"n": 16, "rate": 1e-2, "seed": 1, "row_time": 5.0, "output": out, "resume": True}
+    pj.md.shear(**short, strain=0.1)
+    pj.md.shear(**short, strain=0.2)
+    assert [str(w.message) for w in recwarn if w.category is UserWarning] == []
+    here = runs.build()
+    elsewhere = {"numba": "0.1", "processor": "pentium"}
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "build", lambda: elsewhere)
+        with pytest.warns(
+            UserWarning, match=f"made with numba {here['numba']}, now 0.1; processor .*bits may differ"
+        ):
+            pj.md.shear(**short, strain=0.3)
+    assert elsewhere.items() <= pj.md.read(out).settings.items()
+    given = ["--particles", "16", "--rate", "1e-2", "--strain", "0.4", "--row-time", "5", "--resume"]
+    with pytest.warns(UserWarning, match=f"processor pentium, now {here['processor']}: the last bits"):
+        assert main(["shear", *given, "-o", str(out)]) == 0

@@ -68,6 +68,14 @@ def _warn(error: Exception) -> None:
     warnings.warn(text, RuntimeWarning, stacklevel=2)
 
 
+def build() -> dict[str, str]:
+    """Return what the last bits of a result depend on beside its source: numba and the processor."""
+    from llvmlite.binding import get_host_cpu_name
+
+    own: str | None = numba.config.CPU_NAME  # type: ignore[attr-defined]
+    return {"numba": numba.__version__, "processor": own or get_host_cpu_name()}
+
+
 def use_threads(count: int) -> None:
     """Let parallel loops have ``count`` threads.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.compiled import use_threads
+from petscjam.compiled import build, use_threads
 from petscjam.damping import DampingLaw
 from petscjam.errors import DoubtfulWarning, InputError
 from petscjam.interrupt import deferred
@@ -27,7 +27,8 @@ from petscjam.progress import Report
 from petscjam.storage import check_output, open_h5, release
 
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
-OWN = ("threads", "version", "strain", "strains", "cycles")  # settings that a resumed run may change
+BUILD = ("version", "numba", "processor")  # settings that change no more than the last bits
+OWN = ("threads", "strain", "strains", "cycles", *BUILD)  # settings that a resumed run may change
 
 
 def shear(
@@ -166,7 +167,7 @@ def run(
         "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
         "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
         "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
-        "version": release("petscjam"),
+        "version": release("petscjam"), **build(),
     }  # fmt: skip
     asked: dict[str, Any] = {"particles": n, "phi": phi}
     asked |= {"seed": seed} if given is None else {"start": origin}
@@ -174,6 +175,7 @@ def run(
         _check_settings(output, earlier[0], settings | asked)
         simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
         book = Book.reopened(*earlier, simulation)
+        _note_build(output, book.settings, settings)
     else:
         first = first_state(given, origin, n, phi, seed, law, protocol)
         settings.update(asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain,
@@ -202,3 +204,15 @@ def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping
             continue
         if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):
             raise InputError(f"{output}: was made with {name} = {there}, not {value}; it cannot be resumed")
+
+
+def _note_build(output: str | PathLike[str] | None, there: dict[str, Any], here: Mapping[str, Any]) -> None:
+    """Say that a run goes on elsewhere, where it does: not bit for bit then. The file keeps the latest."""
+    changed = [
+        f"{name} {there[name]}, now {here[name]}"
+        for name in BUILD
+        if there.get(name) not in (None, here[name])
+    ]
+    if changed:
+        warnings.warn(f"{output}: was made with {'; '.join(changed)}: the last bits may differ", stacklevel=4)
+    there |= {name: here[name] for name in BUILD}
