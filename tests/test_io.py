@@ -230,7 +230,7 @@ def test_unknown_format(tmp_path):
 def test_truncated_h5md(tmp_path_factory, fraction):
     path = tmp_path_factory.mktemp("io") / "p.h5"
     import_packing(JAMBASH).write(path)
-    data = path.read_bytes()
+    data = path.read_bytes()[:-48]  # less its digest
     path.write_bytes(data[: int(fraction * len(data))])
     refuses(path, read=Packing.read)
 

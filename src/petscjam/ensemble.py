@@ -25,6 +25,7 @@ from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
+from petscjam.parallel.claims import claimed, turn
 from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
@@ -33,7 +34,7 @@ from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import ComplexModulus, frequencies
-from petscjam.storage import check_output, locked, naming, unlock, write_atomically
+from petscjam.storage import check_output, naming, write_atomically
 
 FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
 LARGE = 20_000  # disks from which the memory of a factor is announced
@@ -122,18 +123,18 @@ def sweep(
             there = done(output, wanted, omegas, fields_at, None if direct else rtol)
         return jobs, there
 
-    jobs, there = on_root(comm, plan)
-
     def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, ComplexModulus]]:
         return _solve(
             job, team, omegas, strain, rtol, direct, fields_at, report,
             out_of_core=out_of_core, block_low_rank=block_low_rank,
         )  # fmt: skip
 
-    return _run(
-        jobs, there, output, solve, _Line(), comm=comm, team_size=team_size, resume=resume,
-        out_of_core=out_of_core, progress=progress, log=log,
-    )  # fmt: skip
+    with claimed(output, comm):
+        jobs, there = on_root(comm, plan)
+        return _run(
+            jobs, there, output, solve, _Line(), comm=comm, team_size=team_size, resume=resume,
+            out_of_core=out_of_core, progress=progress, log=log,
+        )  # fmt: skip
 
 
 def survey(
@@ -187,11 +188,12 @@ def survey(
                     comm=team.comm, name=job.name, progress=report,
                 )  # fmt: skip
 
-    jobs, there = on_root(comm, plan)
-    return _run(
-        jobs, there, output, solve, lambda name, result, seconds: f"{name}: {seconds:.1f} s", comm=comm,
-        team_size=team_size, resume=resume, made_with=wanted, progress=progress, log=log,
-    )  # fmt: skip
+    with claimed(output, comm):
+        jobs, there = on_root(comm, plan)
+        return _run(
+            jobs, there, output, solve, lambda name, result, seconds: f"{name}: {seconds:.1f} s", comm=comm,
+            team_size=team_size, resume=resume, made_with=wanted, progress=progress, log=log,
+        )  # fmt: skip
 
 
 def _plainly(value: Any) -> str:
@@ -257,8 +259,6 @@ def _run(
                     stopped = signal
                     break
     everyone = comm.allgather((made, failures))
-    if jobs and comm.rank == 0:
-        unlock(output)
     raise_together(comm, stopped)
     if jobs and not there and comm.allreduce(bad) == len(jobs):  # what was asked for makes no sense
         raise InputError(next(text for _, some in everyone for text in some))
@@ -347,7 +347,7 @@ def _store(
     result: Any, output: str | PathLike[str], group: str, run: str, keep: bool, shared: bool, made_with: str
 ) -> None:
     """Add a result; the first one of a run that does not keep what is there replaces the file."""
-    with locked(output) if shared else nullcontext():
+    with turn(output) if shared else nullcontext():
         fresh = not keep and run_of(output) != run
         append_result(result, output, group, run=run, fresh=fresh, made_with=made_with)
 

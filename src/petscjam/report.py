@@ -230,7 +230,7 @@ def _modes(r: Modes) -> dict[str, float | str]:
         "median floppiness": float(np.median(r.floppiness)),
         "median participation": float(np.median(r.participation)),
         "G_affine": r.G_affine, "softening": float(r.softening.sum()),
-        "residual": f"{r.residuals.max():.0e}", "complete": PROVED[r.complete],
+        "residual": f"{r.residuals.max():.0e}", "complete": PROVED.get(r.complete, "not known"),
     }  # fmt: skip
 
 
@@ -243,7 +243,7 @@ def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
     return {
         "law": str(r.damping), "modes": f"{len(r.times)}", "slowest": r.times[0], "fastest": r.times[-1],
         "weights": float(r.weights.sum()), "residual": f"{r.residuals.max():.0e}",
-        "complete": PROVED[r.complete],
+        "complete": PROVED.get(r.complete, "not known"),
     }  # fmt: skip
 
 

@@ -2,19 +2,26 @@
 
 HDF5 never touches the disk here. A file is built in memory and its bytes are moved into place by
 plain Python, so neither a kill nor a full disk leaves half a file, an error of the disk surfaces as
-an OSError at a known place, and a parallel build of h5py behaves as a serial one.
+an OSError at a known place, a parallel build of h5py behaves as a serial one, and no file system has to
+have locks.
+
+Behind the bytes of HDF5, which reads no further, stands their digest (:data:`MARK` and 32 bytes, BLAKE2b). It
+is compared before HDF5 sees a file, because a single wrong bit is read as another number, or stops HDF5 for
+good. A file of another program, or that another program has changed, has none.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+import stat
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from petscjam.errors import InputError
 
@@ -22,7 +29,29 @@ if TYPE_CHECKING:
     import h5py
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MARK, DIGEST = b"petscjam blake2b", 32  # in front of the digest, and its bytes
+PIECE = 2**20  # bytes read at a time
+ROOM = 24  # bytes that the name of a temporary file is longer
+FREE, RATIO = 2**26, 1000  # bytes that a dataset may take without being stored; most that compression saves
+TYPES = {  # kinds of NumPy, and whether it is an array, of what annotations of dataclasses say
+    "Array": ("f", True), "Integers": ("iu", True), "NDArray[np.int64]": ("iu", True),
+    "NDArray[np.complex128]": ("c", True), "Complex": ("c", True), "NDArray[np.bool_]": ("b", True),
+    "tuple[float, float]": ("f", True), "tuple[float, ...]": ("f", True),
+    "float": ("fiu", False), "int": ("iu", False), "bool": ("b", False), "str": ("U", False),
+}  # fmt: skip
 VERSIONS = ("v108", "latest")  # H5MD recommends version 2 of the file format: metadata have checksums
+
+
+@contextmanager
+def understanding(what: str) -> Iterator[None]:
+    """Turn whatever the block stumbles over in a file it decodes into an InputError. Only decode in it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError,
+            AssertionError, MemoryError) as error:  # fmt: skip
+        raise InputError(f"damaged {what}, or not the expected content ({error})") from error
 
 
 @contextmanager
@@ -46,22 +75,42 @@ def check_output(
     Raises
     ------
     InputError
-        If it exists and ``overwrite`` is not set, is a folder or one of ``inputs``, or lies in a folder
-        that is missing or not writable.
+        If it exists and ``overwrite`` is not set, is a folder, a device or one of ``inputs``; or as
+        :func:`check_folder`.
     """
-    folder = Path(path).absolute().parent
     for reason, refused in (
         ("is a folder, not a file", os.path.isdir(path)),
+        ("is a device or a pipe, not a file", os.path.exists(path) and not os.path.isfile(path)),
         ("is an input, too; choose another name", any(_same(path, name) for name in inputs)),
         (
             "exists already; choose another name or ask to overwrite it",
             os.path.exists(path) and not overwrite,
         ),
-        (f"there is no folder {folder}", not folder.is_dir()),
-        (f"the folder {folder} is not writable", folder.is_dir() and not os.access(folder, os.W_OK)),
     ):
         if refused:
             raise InputError(f"{path}: {reason}")
+    check_folder(path)
+
+
+def check_folder(path: str | PathLike[str]) -> None:
+    """Refuse a ``path`` that cannot be written where it lies, or where it points to as a link.
+
+    Raises
+    ------
+    InputError
+        If its folder is missing or not writable, or its name is too long.
+    """
+    target = Path(os.path.realpath(path))
+    folder = target.parent
+    if target.is_symlink():  # realpath goes no further
+        raise InputError(f"{path}: is a link that points to itself")
+    if not folder.is_dir():
+        raise InputError(f"{path}: there is no folder {folder}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: the folder {folder} is not writable")
+    most = os.pathconf(folder, "PC_NAME_MAX") - ROOM
+    if len(os.fsencode(target.name)) > most:
+        raise InputError(f"{path}: the name is too long; in this folder it may have {most} bytes")
 
 
 def _same(a: str | PathLike[str], b: str | PathLike[str]) -> bool:
@@ -77,7 +126,10 @@ def release(package: str) -> str:
 
 
 def write_atomically(path: str | PathLike[str], data: bytes) -> None:
-    """Replace the file at ``path`` by ``data``, wholly or not at all.
+    """Replace the file at ``path`` by ``data``, wholly or not at all; its mode stays.
+
+    Where it has other names (hard links), they stay names of the one file: it is overwritten, while the whole
+    lies beside it.
 
     Raises
     ------
@@ -88,35 +140,30 @@ def write_atomically(path: str | PathLike[str], data: bytes) -> None:
     temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     with naming(path):
         try:
-            with open(temporary, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
+            temporary.unlink(missing_ok=True)  # of a process that was killed
+            with open(temporary, "xb") as file:  # links are not followed
+                if target.exists():
+                    with suppress(OSError):
+                        os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
+                _write_through(file, data)
+            if not target.exists() or target.stat().st_nlink == 1:
+                os.replace(temporary, target)
+                return
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
             raise
+        with naming(f"{path}: cannot be overwritten, is whole in {temporary}"), open(target, "r+b") as file:
+            _write_through(file, data)
+            file.truncate()
+        temporary.unlink()
 
 
-@contextmanager
-def locked(path: str | PathLike[str]) -> Iterator[None]:
-    """Keep other processes that ask for the same ``path`` waiting while it is read, changed and replaced."""
-    import fcntl
-
-    with naming(path), open(_lock_of(path), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-def unlock(path: str | PathLike[str]) -> None:
-    """Remove what :func:`locked` leaves behind, once nobody uses it any more."""
-    _lock_of(path).unlink(missing_ok=True)
-
-
-def _lock_of(path: str | PathLike[str]) -> Path:
-    target = Path(os.path.realpath(path))
-    return target.with_name(f".{target.name}.lock")
+def _write_through(file: BinaryIO, data: bytes) -> None:
+    """Write as far as to the disk."""
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
 
 
 @contextmanager
@@ -139,10 +186,12 @@ def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5p
     memory = BytesIO()
     if existing:
         with open_h5(path):
-            memory = BytesIO(Path(path).read_bytes())
+            data = Path(path).read_bytes()
+        memory = BytesIO(data[: -len(MARK) - DIGEST] if _mark(BytesIO(data)) else data)
     with h5py.File(memory, "r+", libver=VERSIONS) if existing else _new_h5(memory) as file:
         yield file
-    write_atomically(path, memory.getvalue())
+    data = memory.getvalue()
+    write_atomically(path, data + MARK + blake2b(data, digest_size=DIGEST).digest())
 
 
 def group(parent: h5py.Group, path: str) -> h5py.Group:
@@ -184,12 +233,113 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
     import h5py
 
     with naming(path), open(path, "rb") as raw:
-        if raw.read(8) != HDF5_SIGNATURE:
+        if raw.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
             raise InputError("not an HDF5 file")
-        try:
-            with h5py.File(raw, "r") as file:
-                yield file
-        except InputError:
-            raise
-        except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
-            raise InputError(f"damaged HDF5 file, or not the expected content ({error})") from error
+        ours = _mark(raw)
+        if ours and not _is_whole(raw):
+            raise InputError("damaged: its bytes are not those that were written (the digest differs)")
+        with understanding("HDF5 file"), h5py.File(raw, "r") as file:
+            if not ours:
+                _check_sizes(file, os.path.getsize(path))
+            yield file
+
+
+def check_type(name: str, value: Any, annotation: str) -> None:
+    """Refuse a ``value`` from a file that is not what a dataclass says of it; None passes, and unknown types.
+
+    Raises
+    ------
+    InputError
+        If it has another type.
+    """
+    import numpy as np
+
+    kinds, array = TYPES.get(annotation.removesuffix(" | None"), ("", True))
+    if value is None or not kinds:
+        return
+    found = np.asarray(value)
+    if found.dtype.kind not in kinds or (found.ndim > 0) != array:
+        what = f"an array of {found.dtype}" if found.ndim else type(value).__name__
+        raise InputError(f"{name} is {what}, not {annotation}")
+
+
+def check_shapes(where: str, shapes: Mapping[str, str], values: Mapping[str, Any]) -> None:
+    """Refuse arrays from a file that do not fit together.
+
+    Parameters
+    ----------
+    where : str
+        What to call them in a message.
+    shapes : mapping
+        The axes of each array by its name, as ``"W 2"``: the same letter, the same length, above 0 but for F
+        and C.
+    values : mapping
+        The arrays; None passes.
+
+    Raises
+    ------
+    InputError
+        If one has another shape.
+    """
+    import numpy as np
+
+    lengths: dict[str, int] = {}
+    for name, text in shapes.items():
+        if values[name] is None:
+            continue
+        axes, shape = text.split(), np.shape(values[name])
+        wanted = [int(a) if a.isdigit() else lengths.get(a) for a in axes]
+        if len(shape) != len(axes) or any(w not in (n, None) for n, w in zip(shape, wanted, strict=True)):
+            raise InputError(f"{where}: {name} has the shape {shape}, not ({', '.join(axes)})")
+        if 0 in shape and not {"F", "C"} & {*axes}:
+            raise InputError(f"{where}: {name} is empty")
+        lengths.update(zip(axes, shape, strict=True))
+
+
+def h5_format(path: str | PathLike[str]) -> str | None:
+    """Return the attribute ``format`` of an HDF5 file, which those of petscjam have but for packings.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged.
+    """
+    with naming(path), open(path, "rb") as raw:
+        if raw.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
+            return None
+    with open_h5(path) as file:
+        found = file.attrs.get("format")
+        return found if isinstance(found, str) else None
+
+
+def _mark(raw: BinaryIO) -> bool:
+    """Tell whether there is a digest at the end."""
+    length = raw.seek(0, os.SEEK_END)
+    raw.seek(max(0, length - len(MARK) - DIGEST))
+    return raw.read(len(MARK)) == MARK
+
+
+def _is_whole(raw: BinaryIO) -> bool:
+    """Tell whether the bytes in front of the digest have that digest."""
+    left = raw.seek(0, os.SEEK_END) - len(MARK) - DIGEST
+    found = blake2b(digest_size=DIGEST)
+    raw.seek(0)
+    while piece := raw.read(min(PIECE, left)):
+        found.update(piece)
+        left -= len(piece)
+    raw.seek(-DIGEST, os.SEEK_END)
+    return raw.read() == found.digest()
+
+
+def _check_sizes(file: h5py.File, length: int) -> None:
+    """Refuse datasets that are larger than what a file of so many bytes can hold."""
+    import h5py
+
+    def check(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and node.size:
+            stored = min(length, node.id.get_storage_size())
+            asked, held = node.size * node.dtype.itemsize, stored * (RATIO if node.chunks else 1)
+            if asked > FREE + held:
+                raise InputError(f"{name} asks for {asked:.2g} bytes, and the file has {length}: damaged")
+
+    file.visititems(check)

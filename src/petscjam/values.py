@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from pathlib import Path
 from typing import Any
 
 MOST = 1_000_000  # seeds, or points of a range
@@ -39,6 +40,13 @@ def parsed_whole(text: str) -> int:
     if not WHOLE.fullmatch(text.strip()):
         raise ValueError(f"{text!r} is not a whole number")
     return int(text)
+
+
+def path(text: str) -> Path:
+    """Parse the name of a file or a folder; Python takes an empty one for the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("the name is empty")
+    return Path(text)
 
 
 def number(text: str) -> float:

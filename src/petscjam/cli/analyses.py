@@ -100,13 +100,14 @@ def _survey(
 ) -> None:
     from petscjam.ensemble import survey
     from petscjam.io.results import read_results
+    from petscjam.parallel.claims import claimed
     from petscjam.parallel.petsc import start
     from petscjam.progress import progress
     from petscjam.report import table
 
     check_team_size(options)
     start(comm)
-    with progress(options.verb, show=comm.rank == 0) as report:
+    with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
         made, failures = survey(
             on_root(comm, all_packings, options), options.output, analyse, settings, laws=laws,
             prestress=options.prestress, comm=comm, team_size=options.team_size, resume=options.resume,

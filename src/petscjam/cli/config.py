@@ -32,7 +32,7 @@ def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[An
         path = one.parse_known_args(argv)[0].config
     except argparse.ArgumentError:  # no file is named: the parser of the verb complains
         path = None
-    if path is None:
+    if not path:  # an empty name: the same
         return []
     with naming(path):
         return _words(path, argv, options, exclusive)

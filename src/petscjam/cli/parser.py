@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, NoReturn
 
 from petscjam.cli import analyses, shearing, verbs
@@ -27,6 +26,7 @@ from petscjam.values import (
     number,
     numbers,
     pairs,
+    path,
     points,
     seeds,
     triple,
@@ -93,7 +93,7 @@ def build_parser() -> Parser:
                         "few, else 1)")  # fmt: skip
     p.add_argument("--budget", type=integer, default=BUDGET, metavar="E",
                    help=f"evaluations of the force for each packing (default {BUDGET})")  # fmt: skip
-    p.add_argument("--config", type=Path, metavar="FILE.toml",
+    p.add_argument("--config", type=path, metavar="FILE.toml",
                    help="settings by the names of these options, as pressure = \"1e-2:1e-4:9\"; the command "
                         "line counts more")  # fmt: skip
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
@@ -104,12 +104,12 @@ def build_parser() -> Parser:
         verbs.info,
         "say what a packing, a result, a sheared run, or a folder of packings or of runs holds",
     )
-    p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
+    p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     reading(p)
 
     p = add(known, "import", verbs.import_, "turn another program's packing into ours (no rescaling)")
     text = "jamBashBulk text, jsrc or jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ, H5MD"
-    p.add_argument("file", type=Path, metavar="FILE", help=f"{text}; also packed by gzip, bzip2 or xz")
+    p.add_argument("file", type=path, metavar="FILE", help=f"{text}; also packed by gzip, bzip2 or xz")
     reading(p)
     text = "minimise its energy again, at constant volume unless --pressure is given"
     p.add_argument("--relax", action="store_true", help=text)
@@ -118,7 +118,7 @@ def build_parser() -> Parser:
     output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
 
     p = add(known, "export", verbs.export, "write a packing, a modulus or a sheared run for other programs")
-    p.add_argument("file", type=Path, metavar="FILE")
+    p.add_argument("file", type=path, metavar="FILE")
     p.add_argument(
         "--to",
         metavar="FORMAT",
@@ -281,7 +281,7 @@ def build_parser() -> Parser:
                    help="small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: "
                         "hours to days)")  # fmt: skip
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
-    p.add_argument("--parameters", type=Path, metavar="FILE.toml", help=text)
+    p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)
     p.add_argument("--existing", action="store_true",
                    help="prepare no packings, go on with those in the folder")  # fmt: skip
     text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
@@ -291,7 +291,7 @@ def build_parser() -> Parser:
         "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
     )
     p = add(known, "plot", verbs.plot, text)
-    p.add_argument("file", type=Path, metavar="FILE_OR_FOLDER")
+    p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     text = "of a sheared run: packing fraction and strain rate around each disk at its end (VOT fig. 27)"
     p.add_argument("--maps", action="store_true", help=text)
     output(p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)",
@@ -312,7 +312,7 @@ def reading(p: Parser) -> None:
 
 def packings(p: Parser) -> None:
     """Add the packings to work on."""
-    p.add_argument("packings", type=Path, nargs="+", metavar="PACKING", help="packings, or folders of them")
+    p.add_argument("packings", type=path, nargs="+", metavar="PACKING", help="packings, or folders of them")
 
 
 def disks(p: Parser) -> None:
@@ -330,7 +330,7 @@ def disks(p: Parser) -> None:
     either = p.add_mutually_exclusive_group()
     either.add_argument("--seed", type=integer, help="seed of the random start (default 1)")
     either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds: A to B, both counted")
-    p.add_argument("--start", type=Path, metavar="FILE",
+    p.add_argument("--start", type=path, metavar="FILE",
                    help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
                         "(export --to lammps), not at random")  # fmt: skip
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun",
@@ -401,7 +401,7 @@ def add(known: Any, verb: str, work: Callable, text: str, epilog: str = "") -> P
 
 def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume: bool = True) -> None:
     """Add ``-o`` and what to do if it exists."""
-    p.add_argument("-o", "--output", type=Path, metavar=metavar, required=required, help=text)
+    p.add_argument("-o", "--output", type=path, metavar=metavar, required=required, help=text)
     either = p.add_mutually_exclusive_group()
     either.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     if resume:

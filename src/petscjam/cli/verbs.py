@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import resource
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from petscjam.cli.laws import chosen_laws
 from petscjam.errors import InputError, SolverError
 from petscjam.parallel.comm import on_root
+from petscjam.storage import naming
 
 
 def say(comm: Any, text: str) -> None:
@@ -61,21 +62,23 @@ def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Any) -> None:
     from petscjam.packing.library import exists, threads_for
     from petscjam.packing.packing import Packing
     from petscjam.packing.prepare import check, prepare_packing
+    from petscjam.parallel.claims import claimed
     from petscjam.progress import progress
     from petscjam.storage import check_output
 
     n, pressure, seed, file = options.particles[0], float(options.pressure[0]), _seed(options), options.output
 
     def work() -> str:
-        if options.resume and exists(file, n, pressure, seed, recipe):
-            return f"there already: {file} ({_in_short(Packing.read(file))})"
-        check_output(file, overwrite=options.overwrite)
-        with progress("prepare", show=True) as report:
-            packing = prepare_packing(
-                n, pressure, seed, **recipe.start, threads=threads, budget=options.budget, progress=report
-            )
-        packing.write(file, overwrite=True)
-        return f"prepared: {file} ({_in_short(packing)})"
+        with claimed(file):
+            if options.resume and exists(file, n, pressure, seed, recipe):
+                return f"there already: {file} ({_in_short(Packing.read(file))})"
+            check_output(file, overwrite=options.overwrite, inputs=[options.config] if options.config else [])
+            with progress("prepare", show=True) as report:
+                packing = prepare_packing(
+                    n, pressure, seed, **recipe.start, threads=threads, budget=options.budget, progress=report
+                )
+            packing.write(file, overwrite=True)
+            return f"prepared: {file} ({_in_short(packing)})"
 
     check(n, pressure, seed, budget=options.budget, **recipe.start)
     threads = options.threads or threads_for([n], comm)
@@ -116,7 +119,9 @@ def info(options: argparse.Namespace, comm: Any) -> None:
             raise InputError(f"info: {file} is {kind}; --index, --potential and --diameters go with packings")
         return said
 
-    say(comm, on_root(comm, text))
+    with naming(options.file):
+        said = on_root(comm, text)
+    say(comm, said)
 
 
 def import_(options: argparse.Namespace, comm: Any) -> None:
@@ -133,22 +138,24 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.io.exporters import format_of
         from petscjam.io.importers import import_packing
         from petscjam.packing.prepare import relax_packing
-        from petscjam.storage import check_output, naming
+        from petscjam.parallel.claims import claimed
+        from petscjam.storage import check_output
 
         format_of(options.output, "h5md", "h5md")
-        check_output(options.output, overwrite=options.overwrite, inputs=[options.file])
-        packing = import_packing(options.file, options.index, options.potential, options.diameters)
-        if options.relax:
-            with naming(options.file), progress("relax", show=True) as report:
-                before = _measured(packing)
-                packing = relax_packing(
-                    packing, options.pressure, shear_stabilised=options.shear_stabilised, progress=report
-                )
-            print(f"before: {before}\nafter:  {_measured(packing)}")
-        else:
-            packing = _judged(packing, options.file)
-        packing.write(options.output, overwrite=options.overwrite)
-        print(f"{options.output}: {_in_short(packing)}")
+        with claimed(options.output):
+            check_output(options.output, overwrite=options.overwrite, inputs=[options.file])
+            packing = import_packing(options.file, options.index, options.potential, options.diameters)
+            if options.relax:
+                with naming(options.file), progress("relax", show=True) as report:
+                    before = _measured(packing)
+                    packing = relax_packing(
+                        packing, options.pressure, shear_stabilised=options.shear_stabilised, progress=report
+                    )
+                print(f"before: {before}\nafter:  {_measured(packing)}")
+            else:
+                packing = _judged(packing, options.file)
+            packing.write(options.output, overwrite=options.overwrite)
+            print(f"{options.output}: {_in_short(packing)}")
 
     on_root(comm, work)
 
@@ -190,7 +197,7 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.io.rheology import FORMATS as CURVES
         from petscjam.io.rheology import export_rheology
         from petscjam.md.result import is_run
-        from petscjam.storage import check_output, naming
+        from petscjam.storage import check_output
 
         if is_run(options.file):
             print(_export_run(options))
@@ -232,6 +239,7 @@ def _export_run(options: argparse.Namespace) -> Path:
     from petscjam.io.lammps_shear import write_lammps
     from petscjam.md.model import model_of
     from petscjam.md.result import export_csv, read
+    from petscjam.storage import check_output
 
     fmt = format_of(options.output or "", options.to, "csv")
     target: Path = options.output or options.file.with_suffix(f".{fmt}")
@@ -240,6 +248,8 @@ def _export_run(options: argparse.Namespace) -> Path:
         raise InputError("export: --group, --average, --omega and --time go with results")
     if options.strain is not None and fmt != "lammps":
         raise InputError("export: --strain goes with --to lammps")
+    if fmt != "lammps":
+        check_output(target, overwrite=options.overwrite, inputs=[options.file])
     if fmt == "csv":
         export_csv(run, target, overwrite=options.overwrite)
     elif fmt == "lammps":
@@ -298,12 +308,12 @@ def all_packings(options: argparse.Namespace) -> list[Path]:
         raise InputError(f"{options.packings[0]}: no packings in this folder")
     runs = {file: options.output.with_name(f"{file.stem}.quenched.h5") for file in found if is_run(file)}
     if runs:
-        quenched = _quench(runs, options)
+        quenched = _quench(runs, found, options)
         found = [runs.get(file, file) for file in found if file in quenched or file not in runs]
     return list(dict.fromkeys(found))
 
 
-def _quench(runs: dict[Path, Path], options: argparse.Namespace) -> set[Path]:
+def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Namespace) -> set[Path]:
     """Quench the last state of each run into its file, unless that holds it already; return which could be.
 
     A run that fails stops no other, as long as there is one that does not.
@@ -311,36 +321,41 @@ def _quench(runs: dict[Path, Path], options: argparse.Namespace) -> set[Path]:
     from petscjam.md.quench import quench, snapshot
     from petscjam.md.result import read
     from petscjam.packing.packing import Packing
-    from petscjam.storage import check_output, naming
+    from petscjam.parallel.claims import claimed
+    from petscjam.storage import check_output
 
     check_output(options.output, overwrite=options.overwrite or options.resume, inputs=runs)
     if len(set(runs.values())) < len(runs):
         names = "".join(f"\n  {run}" for run in runs)
         raise InputError(f"{options.output}: runs of one name would be quenched into one file there:{names}")
-    starts = {}
-    for run, target in runs.items():
-        with naming(run):
-            start = snapshot(read(run))
-        if target.exists() and Packing.read(target).provenance.get("quenched") == start.checksum:
-            print(f"{run}: quenched already: {target}", flush=True)
-        else:
-            check_output(target, overwrite=options.overwrite, inputs=[options.output])
-            starts[run] = start
-    failures: dict[Path, Exception] = {}
-    for run, start in starts.items():
-        try:
+    with ExitStack() as claims:
+        for target in runs.values():
+            claims.enter_context(claimed(target))
+        starts = {}
+        for run, target in runs.items():
             with naming(run):
-                packing = quench(start)
-        except (InputError, SolverError) as error:
-            failures[run] = error
-            continue
-        packing.write(runs[run], overwrite=True)
-        print(f"{run}: quenched: {runs[run]} ({_in_short(packing)})", flush=True)
-    if len(failures) == len(runs):
-        raise next(iter(failures.values()))
-    for failure in failures.values():
-        print(f"petscjam: warning: left out: {failure}", file=sys.stderr, flush=True)
-    return set(runs) - set(failures)
+                start = snapshot(read(run))
+            if target.exists() and Packing.read(target).provenance.get("quenched") == start.checksum:
+                print(f"{run}: quenched already: {target}", flush=True)
+            else:
+                inputs = [options.output, *packings]
+                check_output(target, overwrite=options.overwrite, inputs=inputs)
+                starts[run] = start
+        failures: dict[Path, Exception] = {}
+        for run, start in starts.items():
+            try:
+                with naming(run):
+                    packing = quench(start)
+            except (InputError, SolverError) as error:
+                failures[run] = error
+                continue
+            packing.write(runs[run], overwrite=True)
+            print(f"{run}: quenched: {runs[run]} ({_in_short(packing)})", flush=True)
+        if len(failures) == len(runs):
+            raise next(iter(failures.values()))
+        for failure in failures.values():
+            print(f"petscjam: warning: left out: {failure}", file=sys.stderr, flush=True)
+        return set(runs) - set(failures)
 
 
 def check_team_size(options: argparse.Namespace) -> None:
@@ -362,6 +377,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     from petscjam.ensemble import sweep
     from petscjam.io.results import read_moduli
+    from petscjam.parallel.claims import claimed
     from petscjam.parallel.petsc import start
     from petscjam.progress import progress
     from petscjam.report import table
@@ -386,7 +402,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
             raise InputError(f"--fields {w:g} lies outside the sweep")
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
 
-    with progress("moduli", show=comm.rank == 0) as report:
+    with progress("moduli", show=comm.rank == 0) as report, claimed(options.output, comm):
         made, failures = sweep(
             on_root(comm, all_packings, options), omega, options.output, laws=laws,
             prestress=options.prestress, strain=options.strain, rtol=rtol, direct=options.direct,

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import tomllib
+from contextlib import nullcontext
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from petscjam.errors import InputError
+from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root
 from petscjam.progress import Report
 from petscjam.storage import check_output, naming
@@ -46,8 +48,8 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     source = file or files("petscjam.figures") / f"{name}.toml"
     with naming(str(source)):
         try:
-            return tomllib.loads(source.read_text())
-        except tomllib.TOMLDecodeError as error:
+            return tomllib.loads(source.read_text(encoding="utf-8"))
+        except ValueError as error:
             raise InputError(f"not TOML ({error})") from None
 
 
@@ -80,16 +82,23 @@ def make_figure(
     known = on_root(comm, presets, name, file)
     if preset not in known:
         raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")
-    expected, given = set(on_root(comm, presets, name)["small"]), set(known[preset])
+    if not isinstance(known[preset], dict):
+        raise InputError(f"{file}: {preset} is no table of parameters")
+    shipped = on_root(comm, presets, name)["small"]
+    expected, given = set(shipped), set(known[preset])
     for what, keys in (("lacks", expected - given), ("has the unknown", given - expected)):
         if keys:
             raise InputError(f"{name}: the preset {preset} {what} {', '.join(sorted(keys))}")
     picture = folder / f"{name}.png"
-    on_root(comm, folder.mkdir, parents=True, exist_ok=True)
-    on_root(comm, check_output, picture, overwrite=overwrite or resume)
-    study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
-    import_module(f"petscjam.figures.{name}").draw(study, picture)
-    command = f"petscjam figure {name} --preset {preset}"
-    command += f" --parameters {file}" * (file is not None) + " --existing" * existing
-    on_root(comm, study.write, command)
-    return list(comm.bcast(study.findings))
+    with made_folder(folder, comm), claimed(picture, comm):
+        for target in (picture, folder / f"{name}.md"):
+            inputs = [file] if file else []
+            on_root(comm, check_output, target, overwrite=overwrite or resume, inputs=inputs)
+        study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
+        with naming(file) if file else nullcontext():
+            study.check(shipped)
+        import_module(f"petscjam.figures.{name}").draw(study, picture)
+        command = f"petscjam figure {name} --preset {preset}"
+        command += f" --parameters {file}" * (file is not None) + " --existing" * existing
+        on_root(comm, study.write, command)
+        return list(comm.bcast(study.findings))

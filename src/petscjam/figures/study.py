@@ -82,9 +82,17 @@ class Study:
         value = self._asked(parameter)
         if parameter == "seeds":
             return self._parsed(seeds, parameter, str(value))
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
             raise InputError(f"{self.name}: {parameter} must be a number, not {shown(value)}")
         return value
+
+    def check(self, known: Mapping[str, Any]) -> None:
+        """Refuse parameters of other kinds than the ``known`` ones, before any work."""
+        for name, like in known.items():
+            value = self[name] if name == "seeds" or isinstance(like, int | float) else self.points(name)
+            whole = all(isinstance(x, int) for x in (like if isinstance(like, list) else [like]))
+            if whole and (np.asarray(value) % 1).any():
+                raise InputError(f"{self.name}: {name} must be whole, not {shown(value)}")
 
     def points(self, parameter: str) -> Array:
         """Return a list of numbers above 0; ``A:B:N`` stands for points, evenly in the logarithm.

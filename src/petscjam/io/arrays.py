@@ -16,7 +16,7 @@ from petscjam.box import Array, Box
 from petscjam.errors import InputError
 from petscjam.io.reading import Wanted, check_plane
 from petscjam.packing.packing import Packing
-from petscjam.storage import HDF5_SIGNATURE, naming, open_h5
+from petscjam.storage import HDF5_SIGNATURE, naming, open_h5, understanding
 
 NETCDF_SIGNATURE = b"CDF"  # of the classic format; that of version 4 is HDF5
 JSRC_POTENTIALS = {"HarmonicPotential": "harmonic-relative", "HertzianPotential": "hertzian-relative"}
@@ -33,13 +33,8 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, Any]]:
         with open_h5(path) as h5:
             yield h5
         return
-    try:
-        with netcdf_file(path, mmap=False) as classic:
-            yield classic.variables
-    except InputError:
-        raise
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AssertionError, MemoryError) as error:
-        raise InputError(f"damaged NetCDF file, or not the expected content ({error})") from error
+    with understanding("NetCDF file"), netcdf_file(path, mmap=False) as classic:
+        yield classic.variables
 
 
 def read_jaxmd(path: Path, wanted: Wanted) -> Packing:

@@ -22,6 +22,7 @@ from petscjam.errors import InputError, shown
 from petscjam.md.model import Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
+from petscjam.parallel.claims import made_folder
 from petscjam.potential import Potential
 from petscjam.storage import check_output, naming, write_atomically
 from petscjam.values import parsed, parsed_whole
@@ -182,10 +183,9 @@ def write_lammps(
         ),
         "in.elastic": IN_ELASTIC.format(disks=_disks(start.radii, potential, 0.0, 0.0)),
     }
-    with naming(folder):
-        Path(folder).mkdir(exist_ok=True)
-    for name in texts:
-        check_output(Path(folder, name), overwrite=overwrite)
+    with made_folder(folder):
+        for name in texts:
+            check_output(Path(folder, name), overwrite=overwrite)
     for name, text in texts.items():
         write_atomically(Path(folder, name), text.encode())
     Path(folder, "end.dump").unlink(missing_ok=True)  # the end of another run

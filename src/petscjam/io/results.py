@@ -19,12 +19,13 @@ from petscjam.analysis.viscosity import Viscosity
 from petscjam.box import Array, Box
 from petscjam.damping import LAWS, DampingLaw
 from petscjam.errors import InputError, shown
+from petscjam.kinematics import strain_mode
 from petscjam.packing.packing import Packing
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
-from petscjam.storage import HDF5_SIGNATURE, atomic_h5, check_output, naming, open_h5
+from petscjam.storage import atomic_h5, check_output, check_shapes, check_type, h5_format, open_h5
 
 FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
 KINDS: dict[str, type] = {
@@ -57,6 +58,51 @@ OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
 }  # fmt: skip
 SETTINGS = ("strain", "damping", "prestress")
 ADDED = {"rounding_only": False}  # what older files lack, and what they mean by it
+# As check_shapes reads them: F frequencies of fields, C contacts, which there may be none of, …
+SHAPES: dict[type, dict[str, str]] = {
+    ComplexModulus: {
+        "omega": "W", "values": "W", "residuals": "W", "power_balance": "W", "errors": "W",
+        "part_errors": "2 W", "limit_residuals": "2", "field_omega": "F", "fields": "F N 2",
+    },
+    Spectrum: {
+        "span": "2", "K": "M M", "B": "M M", "residual_K": "R", "residual_B": "R", "nodes": "F", "gains": "F",
+        "gain_errors": "F", "limits": "2 2", "limit_errors": "2 2", "forcing": "2", "affine": "2",
+        "motions": "M N 2",
+    },
+    QuasistaticResponse: {
+        "parallel": "C", "transverse": "C", "nonaffine": "n 2", "disks": "n", "contacts": "C 2",
+    },
+    Viscosity: {},
+    Modes: {
+        "eigenvalues": "M", "vectors": "M n 2", "residuals": "M", "disks": "n", "participation": "M",
+        "floppiness": "M", "amplitudes": "M", "softening": "M",
+    },
+    RelaxationModes: {"times": "M", "weights": "M", "vectors": "M n 2", "residuals": "M", "disks": "n"},
+    Rebuilt: {
+        "counts": "K", "medians": "3 K", "direct": "3", "frequencies": "M", "floppiness": "M",
+        "participation": "M", "softening": "M",
+    },
+    DensityOfStates: {
+        "omega": "W", "density": "W", "error": "W", "cumulative": "W", "resolution": "W", "moments": "V M",
+    },
+    Correlations: {
+        "omega": "W", "delta": "D", "real": "W D", "imaginary": "W D", "pairs": "D", "G": "W", "errors": "W",
+    },
+    NonlinearModulus: {
+        "omega": "W", "values": "W", "tau": "W", "spread": "W", "iterations": "W", "converged": "W",
+        "changes": "W", "tau_changes": "W", "residuals": "W", "errors": "W", "contact_tau": "W C",
+    },
+}  # fmt: skip
+FINITE = {  # the others may be NaN
+    "omega", "values", "field_omega", "span", "rtol", "K", "B", "residual_K", "residual_B", "nodes",
+    "forcing", "affine", "area", "pressure", "delta", "G", "L", "width", "bin", "density", "cumulative",
+    "resolution", "moments", "edge", "stress", "alpha", "parallel", "transverse", "nonaffine", "eigenvalues",
+    "vectors", "times", "weights", "medians", "direct", "frequencies", "participation",
+}  # fmt: skip
+PACKING = {
+    "name": "str", "checksum": "str", "particles": "int", "phi": "float", "pressure": "float", "Z": "float",
+    "rattlers": "int",
+}  # fmt: skip
 DERIVED = ("stable", "state")  # written for other readers, never read back
 
 
@@ -108,11 +154,7 @@ def run_of(file: str | PathLike[str]) -> str | None:
 
 def is_result(file: str | PathLike[str]) -> bool:
     """Tell whether ``file`` holds results rather than a packing."""
-    with naming(file), open(file, "rb") as raw:
-        if raw.read(8) != HDF5_SIGNATURE:
-            return False
-    with open_h5(file) as h5:
-        return h5.attrs.get("format") in (*KINDS, FORMAT_MODEL)
+    return h5_format(file) in (*KINDS, FORMAT_MODEL)
 
 
 def read_results(file: str | PathLike[str]) -> dict[str, Any]:
@@ -312,9 +354,27 @@ def _values(node: Any, kind: type) -> dict[str, Any]:
     missing = {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}
     if missing - set(ADDED):
         raise InputError(f"{node.name} lacks {', '.join(sorted(missing - set(ADDED)))}")
-    return {
+    values = {
         item.name: _value(node, item) if item.name in there else ADDED.get(item.name) for item in fields(kind)
     }
+    _check(node.name, kind, values)
+    return values
+
+
+def _check(where: str, kind: type, values: Mapping[str, Any]) -> None:
+    """Refuse values of another type or shape than ``kind`` has, or that are not finite."""
+    for item in fields(kind):
+        value = values[item.name]
+        check_type(f"{where}: {item.name}", value, str(item.type))
+        if item.name in FINITE and value is not None and not np.isfinite(value).all():
+            raise InputError(f"{where}: {item.name} is not finite")
+    check_shapes(where, SHAPES[kind], values)
+    for name, annotation in PACKING.items():
+        if name not in values["packing"]:
+            raise InputError(f"{where}: packing lacks {name}")
+        check_type(f"{where}: {name} of the packing", values["packing"][name], annotation)
+    if "strain" in values:
+        strain_mode(values["strain"])
 
 
 def _may_be_none(item: Field) -> bool:
@@ -324,6 +384,8 @@ def _may_be_none(item: Field) -> bool:
 def _value(node: Any, item: Field) -> Any:
     if item.name not in node:
         value = _plain(node.attrs[item.name])
+        if item.type == "float" and isinstance(value, int):
+            return float(value)
         return tuple(value.splitlines()) if str(item.type).startswith("tuple[str") else value
     inside = node[item.name]
     if item.name == "model":
@@ -340,7 +402,10 @@ def _value(node: Any, item: Field) -> Any:
 
 def _law(node: Any) -> DampingLaw:
     settings = {key: _plain(value) for key, value in node.attrs.items()}
-    return LAWS[settings.pop("law")](**settings)
+    law = LAWS[settings.pop("law")](**settings)
+    for item in fields(law):
+        check_type(f"{node.name}: {item.name}", getattr(law, item.name), str(item.type))
+    return law
 
 
 def _plain(value: Any) -> Any:

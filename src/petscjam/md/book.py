@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from petscjam.box import Array
 from petscjam.interrupt import check
 from petscjam.md import kernels
-from petscjam.md.frames import write_frame
+from petscjam.md.frames import frames_of, write_frame
 from petscjam.md.kernels import BINS, TICKS
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import BLOCKS, MISSED, ROWS, Run, write_run
@@ -65,7 +64,7 @@ class Book:
                     self._close_block()
                 self.saved = self._checkpoint(simulation)
                 if output is not None and row * frames // count > (row - 1) * frames // count:
-                    write_frame(self._state, Path(output).with_suffix(".frames"), row * frames // count)
+                    write_frame(self._state, frames_of(output), row * frames // count)
                 if output is not None and time.monotonic() - written > EVERY:
                     self.write(output)
                     written = time.monotonic()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from petscjam.errors import InputError
 from petscjam.md.fields import local_maps
 from petscjam.md.state import State
 from petscjam.storage import naming, write_atomically
@@ -36,6 +37,26 @@ def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, frame(state))
     return path
+
+
+def frames_of(output: str | PathLike[str]) -> Path:
+    """Return the folder of the frames of a run: that of its file, with another ending."""
+    return Path(output).with_suffix(".frames")
+
+
+def remove_frames(output: str | PathLike[str], *, overwrite: bool) -> None:
+    """Remove the frames of the run that ``output`` will replace.
+
+    Raises
+    ------
+    InputError
+        If there are some and ``overwrite`` is not set.
+    """
+    for file in frames_of(output).glob("frame_*.xyz"):
+        if not overwrite:
+            raise InputError(f"{file}: is of another run; choose another name or ask to overwrite it")
+        with naming(file):
+            file.unlink()
 
 
 def frame(state: State) -> bytes:

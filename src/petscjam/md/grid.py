@@ -12,6 +12,7 @@ from petscjam.damping import DampingLaw
 from petscjam.errors import InputError, SolverError
 from petscjam.interrupt import Interrupted, check, deferred
 from petscjam.md.result import Run
+from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.teams import teams
 from petscjam.progress import Report, part
@@ -80,40 +81,41 @@ def run_grid(
     agree(comm, points, folder, resume, overwrite)
 
     def files() -> dict[Point, Path]:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: {error.strerror}") from error
         found = {point: folder / f"{point.name}.h5" for point in points}
         for file in found.values():
             if file.exists() and not (resume or overwrite):
                 raise InputError(f"{file}: exists already; ask to overwrite it or to resume")
         return found
 
-    targets = on_root(comm, files)
-    made, failures, bad = 0, [], 0
-    stopped: Interrupted | None = None
-    with teams(comm, 1) as team:
-        mine = team.deal(points, lambda point: point.n / abs(point.rate) if point.rate else 0.0)
-        for k, point in enumerate(mine):
-            report = part(progress, k, len(mine), f"{point.name}: ") if progress else None
-            try:
-                check()
-                run = work(
-                    **vars(point), output=targets[point], resume=resume, overwrite=overwrite, progress=report
-                )
-            except (InputError, SolverError) as error:
-                failures.append(f"{point.name}: {error}")
-                bad += isinstance(error, InputError)
-                continue
-            except Interrupted as signal:
-                stopped = signal
-                break
-            made += 1
-            log(targets[point], run)
-    raise_together(comm, stopped)
-    everyone = comm.allgather((made, failures, bad))
-    lost = [text for _, some, _ in everyone for text in some]
-    if sum(count for *_, count in everyone) == len(points):  # what was asked for makes no sense
-        raise InputError(lost[0])
-    return sum(count for count, *_ in everyone), lost
+    with made_folder(folder, comm), claimed(folder, comm):
+        targets = on_root(comm, files)
+        made, failures, bad = 0, [], 0
+        stopped: Interrupted | None = None
+        with teams(comm, 1) as team:
+            mine = team.deal(points, lambda point: point.n / abs(point.rate) if point.rate else 0.0)
+            for k, point in enumerate(mine):
+                report = part(progress, k, len(mine), f"{point.name}: ") if progress else None
+                try:
+                    check()
+                    run = work(
+                        **vars(point),
+                        output=targets[point],
+                        resume=resume,
+                        overwrite=overwrite,
+                        progress=report,
+                    )
+                except (InputError, SolverError) as error:
+                    failures.append(f"{point.name}: {error}")
+                    bad += isinstance(error, InputError)
+                    continue
+                except Interrupted as signal:
+                    stopped = signal
+                    break
+                made += 1
+                log(targets[point], run)
+        raise_together(comm, stopped)
+        everyone = comm.allgather((made, failures, bad))
+        lost = [text for _, some, _ in everyone for text in some]
+        if sum(count for *_, count in everyone) == len(points):  # what was asked for makes no sense
+            raise InputError(lost[0])
+        return sum(count for count, *_ in everyone), lost

@@ -19,7 +19,15 @@ from petscjam.errors import InputError, shown
 from petscjam.md.model import model_of
 from petscjam.md.state import State
 from petscjam.potential import power_law
-from petscjam.storage import check_output, group, open_h5, write_atomically
+from petscjam.storage import (
+    check_output,
+    check_shapes,
+    check_type,
+    group,
+    h5_format,
+    open_h5,
+    write_atomically,
+)
 
 FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
 MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
@@ -59,6 +67,23 @@ BLOCKS = {
     "first": "(B, 4) sums of V_T, V^R, V^C_T, V_N over contacts, in ds γ̇",
     "second": "(B, 4, 4) sums of their products",
     "scatter": "(B, S, 4) some of them, one row a contact, NaN where there were fewer",
+}  # fmt: skip
+
+
+SHAPES = {
+    "strain": "B", "samples": "B", "making": f"B {BINS}", "breaking": f"B {BINS}", "layer_disks": "B M",
+    "layer_vx": "B M", "layer_area": "B M", "pairs": "B", "first": "B 4", "second": "B 4 4",
+    "scatter": "B S 4",
+}  # fmt: skip
+CHECKPOINT = {
+    "q": "N 5", "radii": "N", "masses": "N", "tag": "N", "contacts": "C 3", "numbers": "5", "counts": "2",
+    "start": "T", "block_angles": f"2 {BINS}", "block_layers": "3 M", "block_moments": "5 4",
+    "block_scatter": "S 4", "block_looked": "2",
+}  # fmt: skip
+SETTINGS = {  # without which a run cannot be read
+    "model": "str", "law": "str", "Q": "float", "protocol": "str", "dt": "float", "integrator": "str",
+    "potential": "str", "particles": "int", "phi": "float", "start": "str", "strain0": "float",
+    "time0": "float",
 }  # fmt: skip
 
 
@@ -233,14 +258,14 @@ def blocked_error(values: ArrayLike) -> float:
 
 
 def is_run(path: str | PathLike[str]) -> bool:
-    """Return whether ``path`` is an HDF5 file of a run."""
-    import h5py
+    """Return whether ``path`` is a file of a run.
 
-    try:
-        with h5py.File(path, "r") as file:
-            return bool(file.attrs.get("format") == FORMAT)
-    except OSError:
-        return False
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged.
+    """
+    return h5_format(path) == FORMAT
 
 
 def write_run(h5: Any, run: Run) -> None:
@@ -271,10 +296,40 @@ def read_run(h5: Any) -> Run:
         rows["parts"] = np.ones_like(rows["steps"])
         settings["potential"] = power_law(settings.pop("exponent"), relative=True).name
     blocks = {key: h5["blocks"][key][()] for key in BLOCKS}
+    _check(settings, rows, blocks)
     node = h5["state"]
     arrays = {key: node[key][()] for key in ("positions", "velocities", "spins", "radii")}
     state = State(**arrays, **dict(node.attrs), potential_name=settings["potential"])
     return Run(settings, rows, blocks, state)
+
+
+def _check(settings: Mapping[str, Any], rows: Mapping[str, Array], blocks: Mapping[str, Array]) -> None:
+    for name, annotation in SETTINGS.items():
+        if name not in settings:
+            raise InputError(f"settings: {name} is missing")
+        check_type(f"settings: {name}", settings[name], annotation)
+    for where, values in (("rows", rows), ("blocks", blocks)):
+        for name, value in values.items():
+            check_type(f"{where}: {name}", value, "Array")
+            if name != "scatter" and not np.isfinite(value).all():
+                raise InputError(f"{where}: {name} is not finite")
+    check_shapes("rows", dict.fromkeys(rows, "K"), rows)
+    check_shapes("blocks", SHAPES, blocks)
+
+
+def read_checkpoint(h5: Any) -> dict[str, Any]:
+    """Return what a run needs to go on (:meth:`petscjam.md.book.Book.write`) from an open HDF5 file."""
+    saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
+    check_shapes("checkpoint", CHECKPOINT, saved)
+    for name in CHECKPOINT:
+        kind = "Integers" if name in ("tag", "contacts", "counts", "block_angles") else "Array"
+        check_type(f"checkpoint: {name}", saved[name], kind)
+        if name != "block_scatter" and not np.isfinite(saved[name]).all():
+            raise InputError(f"checkpoint: {name} is not finite")
+    disks, tags = saved["contacts"][:, :2], np.arange(len(saved["tag"]))
+    if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(disks, tags).all()):
+        raise InputError("checkpoint: tag or contacts name disks that there are not")
+    return saved
 
 
 def read(path: str | PathLike[str]) -> Run:

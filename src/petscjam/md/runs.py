@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -17,11 +18,13 @@ from petscjam.errors import DoubtfulWarning, InputError
 from petscjam.interrupt import deferred
 from petscjam.md import protocols
 from petscjam.md.book import Book
+from petscjam.md.frames import frames_of, remove_frames
 from petscjam.md.model import model as model_of
 from petscjam.md.protocols import Protocol
-from petscjam.md.result import Run, read_run
+from petscjam.md.result import Run, read_checkpoint, read_run
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import Start, first_state, given_state
+from petscjam.parallel.claims import claimed, made_folder
 from petscjam.potential import POTENTIALS, power_law
 from petscjam.progress import Report
 from petscjam.storage import check_output, open_h5, release
@@ -150,42 +153,50 @@ def run(
     use_threads(threads)
     if frames and output is None:
         raise InputError("shear: frames are written beside the output: give one")
-    earlier = _reopened(output) if output is not None and resume and Path(output).exists() else None
-    if output is not None and earlier is None:
-        check_output(output, overwrite=overwrite)
-    given, origin = given_state(start)
-    first = given if earlier is None else earlier[0].state
-    potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
-    if exponent is not None:
-        potential = power_law(exponent, potential.relative)
-    law = model_of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
-    dt = law.step(dt, integrator)
-    total = max(round(protocol.duration / dt), 1)
-    row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
-    settings = {
-        "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q),
-        "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
-        "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
-        "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
-        "version": release("petscjam"), **build(),
-    }  # fmt: skip
-    asked: dict[str, Any] = {"particles": n, "phi": phi}
-    asked |= {"seed": seed} if given is None else {"start": origin}
-    if earlier is not None:
-        _check_settings(output, earlier[0], settings | asked)
-        simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
-        book = Book.reopened(*earlier, simulation)
-        _note_build(output, book.settings, settings)
-    else:
-        first = first_state(given, origin, n, phi, seed, law, protocol)
-        settings.update(asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain,
-                        time0=first.time)  # fmt: skip
-        simulation = Simulation(first, law, dt, integrator, threads)
-        book = Book(settings, simulation)
-    made = book.fill(simulation, protocol, total, output, frames, progress)
-    for text in made.warnings:
-        warnings.warn(text, DoubtfulWarning, stacklevel=3)
-    return made
+    with ExitStack() as held:
+        if output is not None:
+            held.enter_context(claimed(output))
+            inputs = [start] if isinstance(start, str | PathLike) else []
+            check_output(output, overwrite=overwrite or resume, inputs=inputs)
+            if frames:
+                held.enter_context(made_folder(frames_of(output)))
+                held.enter_context(claimed(frames_of(output)))
+        earlier = _reopened(output) if output is not None and resume and Path(output).exists() else None
+        given, origin = given_state(start)
+        first = given if earlier is None else earlier[0].state
+        potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
+        if exponent is not None:
+            potential = power_law(exponent, potential.relative)
+        law = model_of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
+        dt = law.step(dt, integrator)
+        total = max(round(protocol.duration / dt), 1)
+        row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
+        settings = {
+            "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q),
+            "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
+            "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
+            "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
+            "version": release("petscjam"), **build(),
+        }  # fmt: skip
+        asked: dict[str, Any] = {"particles": n, "phi": phi}
+        asked |= {"seed": seed} if given is None else {"start": origin}
+        if earlier is not None:
+            _check_settings(output, earlier[0], settings | asked)
+            simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
+            book = Book.reopened(*earlier, simulation)
+            _note_build(output, book.settings, settings)
+        else:
+            first = first_state(given, origin, n, phi, seed, law, protocol)
+            settings.update(asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain,
+                            time0=first.time)  # fmt: skip
+            simulation = Simulation(first, law, dt, integrator, threads)
+            book = Book(settings, simulation)
+            if output is not None:
+                remove_frames(output, overwrite=overwrite)
+        made = book.fill(simulation, protocol, total, output, frames, progress)
+        for text in made.warnings:
+            warnings.warn(text, DoubtfulWarning, stacklevel=3)
+        return made
 
 
 def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:
@@ -193,7 +204,7 @@ def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:
     with open_h5(output) as h5:
         if h5.attrs.get("schema") == 1:
             raise InputError("was made by an older petscjam; it cannot be resumed, but be a start")
-        return read_run(h5), {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
+        return read_run(h5), read_checkpoint(h5)
 
 
 def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping[str, Any]) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 from petscjam.box import Box
 from petscjam.errors import InputError
 from petscjam.packing.packing import Certificate, Packing
-from petscjam.storage import atomic_h5, check_output, group, open_h5, release
+from petscjam.storage import atomic_h5, check_output, check_shapes, check_type, group, open_h5, release
 
 if TYPE_CHECKING:
     import h5py
@@ -126,6 +126,9 @@ def _read_certificate(ours: h5py.Group) -> Certificate:
         for name, value in ours["certificate"].attrs.items()
         if name in known
     }
+    for item in fields(Certificate):
+        check_type(f"{item.name} of the certificate", stored.get(item.name), str(item.type))
+    check_shapes("certificate", {"eigenvalues": "C"}, {"eigenvalues": stored.get("eigenvalues")})
     if "eigenvalues" in stored:
         stored["eigenvalues"] = tuple(stored["eigenvalues"])
     return Certificate(**stored)

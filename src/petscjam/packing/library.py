@@ -13,7 +13,8 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from hashlib import blake2b
 from io import StringIO
 from os import PathLike
 from pathlib import Path
@@ -25,10 +26,11 @@ from petscjam.network import ContactNetwork
 from petscjam.packing.h5md import OURS
 from petscjam.packing.packing import Packing
 from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
+from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
-from petscjam.storage import check_output, naming, open_h5, write_atomically
+from petscjam.storage import check_output, check_type, naming, open_h5, understanding, write_atomically
 from petscjam.values import parsed, parsed_whole
 
 SCHEMA = 1
@@ -159,7 +161,17 @@ def prepare_library(
     agree(comm, folder, particles, pressures, seeds, resume, overwrite, budget, sorted(recipe.items()))
     settings = Recipe(**recipe)
     series = _planned(particles, pressures, seeds, settings, budget)
-    missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
+    with made_folder(folder, comm), claimed(folder, comm):
+        missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
+        _fill(folder, series, settings, missing, comm, threads, budget, progress)
+        return replace(on_root(comm, read_library, folder), tried=frozenset(missing))
+
+
+def _fill(
+    folder: Path, series: list[_Series], settings: Recipe, missing: set[str], comm: Any, threads: int | None,
+    budget: int, progress: Report | None,
+) -> None:  # fmt: skip
+    """Make what is missing, each series by one rank."""
     todo = [s for s in series if any(name in missing for _, name in s.names())]
     threads = threads or threads_for([s.n for s in todo], comm)
 
@@ -178,7 +190,6 @@ def prepare_library(
         except (Exception, Interrupted) as caught:  # a full disk, for instance: this rank's alone
             error = caught
     raise_together(comm, error)
-    return replace(on_root(comm, read_library, folder), tried=frozenset(missing))
 
 
 def threads_for(sizes: Sequence[int], comm: Any) -> int:
@@ -248,9 +259,7 @@ def _planned(
 
 
 def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, overwrite: bool) -> set[str]:
-    """Make the folder with its recipe and index, if nothing speaks against it; return what is missing."""
-    with naming(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    """Write recipe and index, if nothing speaks against it; return what is missing."""
     library = _read(folder, recipe)
     missing = set()
     for s in series:
@@ -265,7 +274,8 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
                 file.unlink()
     if not library.recipe:
         text = json.dumps({"schema": SCHEMA, "units": "stiffness k = 1, mean diameter d = 1",
-                           "recipe": asdict(recipe)}, indent=2)  # fmt: skip
+                           "recipe": asdict(recipe), "checksum": _checksum(asdict(recipe))},
+                          indent=2)  # fmt: skip
         write_atomically(folder / RECIPE, f"{text}\n".encode())
     lines = [dict(zip(COLUMNS, COLUMNS, strict=True)), *library.rows, *library.failed]
     write_atomically(folder / INDEX, "".join(map(_line, lines)).encode(errors="surrogateescape"))
@@ -355,14 +365,27 @@ def _recipe(file: Path) -> dict[str, Any]:
     if not file.exists():
         return {}
     with naming(file):
-        try:
-            content = json.loads(file.read_text())
-            newer, recipe = content["schema"] > SCHEMA, dict(content["recipe"])
-        except (ValueError, LookupError, TypeError) as error:
-            raise InputError(f"damaged, or not the recipe of a library ({error})") from error
-        if newer:
-            raise InputError(f"written by a newer petscjam (schema {content['schema']}; this reads {SCHEMA})")
+        with understanding("recipe of a library"):
+            content = json.loads(file.read_text(encoding="utf-8"))
+            schema, recipe = content["schema"], dict(content["recipe"])
+            if not isinstance(schema, int):
+                raise InputError(f"the schema is {shown(schema)}, not a whole number")
+            there, made = content.get("checksum"), _checksum(recipe)
+        if schema > SCHEMA:
+            raise InputError(f"written by a newer petscjam (schema {schema}; this reads {SCHEMA})")
+        if there not in (None, made):  # None: of an older petscjam
+            raise InputError(
+                f"the checksum is {made} but {shown(there)} was recorded; it was changed or damaged"
+            )
+        for item in fields(Recipe):
+            if item.name not in recipe:
+                raise InputError(f"the recipe lacks {item.name}")
+            check_type(item.name, recipe[item.name], str(item.type))
     return recipe
+
+
+def _checksum(recipe: Mapping[str, Any]) -> str:
+    return blake2b(json.dumps(recipe).encode(), digest_size=8).hexdigest()
 
 
 def _logged(file: Path) -> dict[str, dict[str, str]]:

@@ -1,0 +1,197 @@
+"""Outputs claimed for a whole run, so that two runs never write to one.
+
+A claim is a file beside the output, or inside a folder, that is created exclusively and says which process
+writes: no file system needs to have locks for that. The claim of a process that is gone counts no more, if
+that was on this machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from petscjam.errors import InputError
+from petscjam.parallel.comm import on_root
+from petscjam.storage import check_folder, naming
+
+PATIENCE = 2.0  # seconds that a claim may stay empty, or in the hands of one who removes it
+_held: set[tuple[Path, int]] = set()  # claims and processes: a forked child has none of its own
+
+
+@contextmanager
+def claimed(path: str | PathLike[str], comm: Any = None) -> Iterator[None]:
+    """Keep other runs from writing to ``path``, a file or a folder that exists, while the block runs.
+
+    The process may claim it again inside. With ``comm`` this is collective, and rank 0 claims for all.
+
+    Raises
+    ------
+    InputError
+        If another run has claimed it, or its folder is missing or not writable.
+    """
+    lock = _take(path) if comm is None else on_root(comm, _take, path)
+    try:
+        yield
+    finally:
+        if lock is not None and (lock, os.getpid()) in _held:
+            _held.remove((lock, os.getpid()))
+            with suppress(OSError):
+                lock.unlink()
+
+
+@contextmanager
+def made_folder(folder: str | PathLike[str], comm: Any = None) -> Iterator[None]:
+    """Make ``folder`` if need be; if the block is refused and left it empty, remove it again.
+
+    With ``comm`` this is collective.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+
+    def make() -> list[Path]:
+        inside_out = [Path(folder), *Path(folder).parents]
+        new = [one for one in inside_out if not one.exists()]
+        with naming(folder):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        return new
+
+    new = make() if comm is None else on_root(comm, make)
+    try:
+        yield
+    except InputError:
+        with suppress(OSError):
+            for one in new if comm is None or comm.rank == 0 else ():
+                one.rmdir()
+        raise
+
+
+@contextmanager
+def turn(path: str | PathLike[str]) -> Iterator[None]:
+    """Keep the other ranks of this run waiting while ``path`` is read, changed and replaced."""
+    ticket = _beside(path, "turn")
+    with naming(path):
+        while not _created(ticket, ""):
+            time.sleep(0.01)
+    try:
+        yield
+    finally:
+        ticket.unlink()
+
+
+def _beside(path: str | PathLike[str], ending: str) -> Path:
+    target = Path(os.path.realpath(path))
+    return target / f".{ending}" if target.is_dir() else target.with_name(f".{target.name}.{ending}")
+
+
+def _take(path: str | PathLike[str]) -> Path | None:
+    """Create the claim of this process; None if it has one."""
+    if not os.path.isdir(path):
+        check_folder(path)
+    lock = _beside(path, "lock")
+    if (lock, os.getpid()) in _held:
+        return None
+    mine = json.dumps({"process": os.getpid(), "started": _started(os.getpid()), **_machine()})
+    with naming(path):
+        patience = time.monotonic() + PATIENCE
+        while not (_created(lock, mine) and _read(lock) == mine):
+            there = _read(lock)
+            if there:
+                _check_gone(there, lock)
+            if (there or time.monotonic() > patience) and _removed(lock, there):
+                patience = time.monotonic() + PATIENCE
+            elif time.monotonic() > 2 * PATIENCE + patience:
+                raise InputError(f"{lock} is left of a run that was killed; remove it, and {_ticket(lock)}")
+            time.sleep(0.01)
+    _held.add((lock, os.getpid()))
+    _beside(path, "turn").unlink(missing_ok=True)  # left of a run that was killed
+    return lock
+
+
+def _ticket(lock: Path) -> Path:
+    return lock.with_name(f"{lock.name}.stale")
+
+
+def _removed(lock: Path, content: str | None) -> bool:
+    """Remove a claim that counts no more, unless another process is about to."""
+    ticket = _ticket(lock)  # who has it, and nobody else, removes what still has this content
+    if content is None or not _created(ticket, ""):
+        return False
+    try:
+        if _read(lock) == content:
+            lock.unlink()
+    finally:
+        ticket.unlink()
+    return True
+
+
+def _created(file: Path, content: str) -> bool:
+    """Create ``file``; False if it exists."""
+    try:
+        with open(file, "xb") as new:  # links are not followed
+            new.write(content.encode())
+    except FileExistsError:
+        return False
+    return True
+
+
+def _read(lock: Path) -> str | None:
+    """Return the content of a claim; None if there is none any more."""
+    try:
+        with open(os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                return file.read(4096).decode(errors="replace")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(f"{lock} is not a claim of petscjam ({error.strerror}); remove it") from error
+    raise InputError(f"{lock} is not a claim of petscjam; remove it")
+
+
+def _check_gone(content: str, lock: Path) -> None:
+    """Refuse if the process of a claim may still write."""
+    try:
+        owner = json.loads(content)
+        process, host, started = int(owner["process"]), str(owner["host"]), owner["started"]
+        here = all(owner[key] == value for key, value in _machine().items())
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{lock} is not a claim of petscjam; remove it") from error
+    if not here or _is_alive(process, started):
+        advice = "" if here else f"; if it is gone, remove {lock}"
+        raise InputError(f"another run (process {process} on {host}) writes to it{advice}")
+
+
+def _machine() -> dict[str, str]:
+    """Return where numbers of processes count: the host, and the container on it."""
+    namespace = "/proc/self/ns/pid"
+    return {"host": socket.gethostname(), "in": os.readlink(namespace) if os.path.exists(namespace) else ""}
+
+
+def _is_alive(process: int, started: str | None) -> bool:
+    """Tell whether a process runs that has this number and began at this moment."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return _started(process) in (started, None)
+
+
+def _started(process: int) -> str | None:
+    """Return when a process began, in ticks since the start of the machine; None if that cannot be known."""
+    try:
+        state, *values = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return "ended" if state in "ZX" else values[18]
