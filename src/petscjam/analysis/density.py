@@ -70,7 +70,7 @@ class DensityOfStates:
         0, or None where a note says why they could not be counted.
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     notes : tuple of str
     """
 

@@ -65,7 +65,7 @@ class NonlinearModulus:
     strain : str
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     notes : tuple of str
         Where it did not converge.
     """

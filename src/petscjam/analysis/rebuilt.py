@@ -41,7 +41,7 @@ class Rebuilt:
     strain : str
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     notes : tuple of str
     """
 

@@ -31,7 +31,7 @@ class Viscosity(Judged):
     strain : str
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     notes : tuple of str
     """
 

@@ -74,7 +74,7 @@ class Modes:
     strain : str
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     geometry : Packing
     notes : tuple of str
     performance : dict

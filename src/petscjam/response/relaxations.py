@@ -58,7 +58,7 @@ class RelaxationModes:
     damping : DampingLaw
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     geometry : Packing
     notes : tuple of str
     performance : dict

@@ -89,7 +89,7 @@ class ComplexModulus(Judged):
     strain, damping : str
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     notes : tuple of str
         What could not be had, and why.
     field_omega : (F,)

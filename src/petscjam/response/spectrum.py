@@ -78,7 +78,7 @@ class Spectrum(Judged):
     damping : DampingLaw
     prestress : bool
     packing : dict
-        Name, checksum, particles, phi, pressure, Z, rattlers of the packing.
+        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     rounding_only : bool
         Whether the residual in the span is rounding: its length is then one that it does not exceed, and
         nothing is known beyond the span.
