@@ -95,6 +95,14 @@ def test_names_that_are_no_text(tmp_path, packing, capsys):
     assert capsys.readouterr().err.endswith(".h5: No such file or directory\n")
 
 
+def test_a_start_whose_name_is_no_text(tmp_path):
+    odd = tmp_path / os.fsdecode(b"start\xff.h5")
+    short = {"n": 16, "rate": 1e-2, "strain": 0.02, "seed": 1}
+    pj.md.shear(**short, output=odd)
+    pj.md.shear(rate=1e-2, strain=0.02, start=odd, output=tmp_path / "run.h5")
+    assert pj.md.read(tmp_path / "run.h5").settings["start"].startswith("start?.h5: ")
+
+
 def test_a_library_with_a_name_that_is_no_text(tmp_path):
     pj.prepare_library(tmp_path, [16], [1e-2])
     odd = os.fsdecode(b"\xff.h5")

@@ -13,7 +13,7 @@ import numpy as np
 
 from petscjam.box import Array, Box
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, shown
+from petscjam.errors import InputError, readable, shown
 from petscjam.md.model import Model
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import Run, is_run, read
@@ -87,9 +87,9 @@ def given_state(start: Start) -> tuple[State | None, str]:
         return _at_rest(start)
     if is_run(start):
         earlier = read(start)
-        return earlier.state, f"{Path(start).name}: {_of(earlier)}"
+        return earlier.state, f"{readable(Path(start).name)}: {_of(earlier)}"
     state, origin = _at_rest(Packing.read(start))
-    return state, f"{Path(start).name}: {origin}"
+    return state, f"{readable(Path(start).name)}: {origin}"
 
 
 def _of(run: Run) -> str:
