@@ -131,6 +131,63 @@ def test_a_longer_run_goes_on_from_its_end(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("verb", "short", "longer", "settings"),
+    [
+        ("shear", "--rate 5e-2 --strain 125", "--rate 5e-2 --strain 250", {"row_steps": 60}),
+        ("shear", "--rate 1e-2 --strain 1 --dt 0.02", "--rate 1e-2 --strain 2", {"dt": 0.02}),
+        ("shear", "--rate 1e-2 --strain 1 --row-time 3", "--rate 1e-2 --strain 2", {"row_steps": 72}),
+        ("shear", "--rate 1e-2 --strain 0.5 --then 1e-2:0.5", "--rate 1e-2 --strain 0.5 --then 1e-2:1.5",
+         {"strains": [0.5, 1.5]}),
+        ("shear", "--oscillate 0.1:0.1:1", "--oscillate 0.1:0.1:2", {"cycles": 2}),
+        ("ramp", "--rate 1e-2 --to 2e-2 --kappa 5e-3 --row-time 3", None, {"row_steps": 72}),
+    ],
+)  # fmt: skip
+def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, settings):
+    """What was left out is that of the file: rows are as long as they were; the file says how long it is."""
+    file = tmp_path / "run.h5"
+    command = [verb, "--particles", "16", "--phi", "0.8", "-o", str(file), *short.split()]
+    assert main(command) == 0
+    before = pj.md.read(file)
+    command[7:] = (longer or "--rate 1e-2 --to 2e-2 --kappa 5e-3").split()
+    assert main([*command, "--resume"]) == 0, capsys.readouterr().err
+    after = pj.md.read(file)
+    for name in ("dt", "row_steps"):
+        assert after.settings[name] == before.settings[name]
+    kept = len(before.time)
+    assert np.array_equal(after.stress[:kept], before.stress)
+    if longer is None:
+        assert same(after, before) == []
+    else:
+        assert after.time[-1] == pytest.approx(2 * before.time[-1], rel=1e-2)
+    assert {name: np.array(after.settings[name]).tolist() for name in settings} == settings
+
+
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [("--strain 2 --dt 0.01", "dt = 0.02"), ("--strain 2 --row-time 7", "row_steps = 50, not 350"),
+     ("--strain 2 --then 1e-3:1", "protocol = steady")],
+)  # fmt: skip
+def test_a_resumed_run_refuses_what_differs(tmp_path, capsys, other, named):
+    """An option that is given must be that of the file."""
+    command = ["shear", "--particles", "16", "--rate", "1e-2", "-o", str(tmp_path / "run.h5")]
+    assert main([*command, "--strain", "0.1", "--dt", "0.02"]) == 0
+    before = (tmp_path / "run.h5").read_bytes()
+    capsys.readouterr()
+    assert main([*command, *other.split(), "--resume"]) == 2
+    assert named in (error := capsys.readouterr().err)
+    assert error.count("\n") == 1
+    assert (tmp_path / "run.h5").read_bytes() == before
+
+
+def test_only_the_last_of_several_steps_may_be_longer(tmp_path):
+    """A change in the middle would be another history."""
+    given = {"model": "CD", "n": 16, "output": tmp_path / "run.h5"}
+    run(protocols.steps([1e-2, 2e-2], [0.1, 0.1]), **given)
+    with pytest.raises(InputError, match="strains = "):
+        run(protocols.steps([1e-2, 2e-2], [0.2, 0.1]), **given, resume=True)
+
+
+@pytest.mark.parametrize(
     "other",
     [{"model": "CD"}, {"Q": 2.0}, {"dt": 0.04}, {"phi": 0.8}, {"rate": 2e-2}, {"n": 64}, {"seed": 4},
      {"integrator": "single"}, {"drag": 0.1}, {"model": ContactDamping(beta=0.5)}],
@@ -192,7 +249,7 @@ def test_bad_input_is_one_line_that_names_the_value(tmp_path, capsys, options, v
 def test_bad_ramps_are_refused(tmp_path, capsys, options):
     """As bad shearing is."""
     assert main(["ramp", *options.split(), "-o", str(tmp_path / "run.h5")]) == 2
-    assert "must be above 0" in (error := capsys.readouterr().err) or "same strain rate" in error
+    assert "must be from" in (error := capsys.readouterr().err) or "same strain rate" in error
 
 
 def test_a_ramp_multiplies_the_rate_by_the_same_factor_and_comes_back():

@@ -43,8 +43,6 @@ def ramp(options: argparse.Namespace, comm: Any) -> None:
     def protocol(rate: float) -> protocols.Protocol:
         return protocols.ramp(rate, options.to, options.kappa)
 
-    if options.row_time is None:
-        options.row_time = 1e3  # VOT sec. III D
     _work(options, comm, protocol, options.rate or [1e-6])
 
 

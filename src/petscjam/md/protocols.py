@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, log10
+from math import log10
 from typing import Any
 
 import numpy as np
 
+from petscjam import ranges
 from petscjam.box import Array
 from petscjam.errors import InputError, shown
 
@@ -32,6 +33,8 @@ class Protocol:
         (:meth:`petscjam.md.simulation.Simulation.advance`).
     settings : dict
         What it was made of.
+    row_time : float
+        τe between two rows of the time series; None: as many rows as runs have otherwise.
     """
 
     name: str
@@ -39,12 +42,13 @@ class Protocol:
     duration: float
     bulk: str
     settings: dict[str, Any] = field(default_factory=dict)
+    row_time: float | None = None
 
 
 def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
     """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0); ``bulk`` matters to starts at other rates."""
-    _check("rate", rate, rate != 0, "a number other than 0")
-    _check("strain", strain, strain > 0, "above 0")
+    _check_rate(rate)
+    ranges.STRAIN.check("shear: the strain", strain)
     return Protocol(
         "steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), bulk, {"rate": rate}
     )
@@ -55,8 +59,10 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
 
     A lower ``to`` ramps down first. Velocities and spins are scaled with the rate.
     """
-    for name, value in (("rate", rate), ("to", to), ("kappa", kappa)):
-        _check(name, value, value > 0, "above 0")
+    for name, value, known in (
+        ("rate", rate, ranges.RATE_SIZE), ("to", to, ranges.RATE_SIZE), ("kappa", kappa, ranges.KAPPA),
+    ):  # fmt: skip
+        known.check(f"ramp: {name}", value)
     if rate == to:
         raise InputError(f"ramp: it begins and turns at the same strain rate, {shown(rate)}")
     updates = int(np.ceil(abs(log10(to / rate)) / kappa))
@@ -67,7 +73,8 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
         exponent = np.where(done < updates, done, 2 * updates - 1 - done)
         return rate * 10.0 ** (sign * kappa * exponent)
 
-    return Protocol("ramp", rates, 2.0 * updates, "scale", {"rate": rate, "to": to, "kappa": kappa})
+    settings = {"rate": rate, "to": to, "kappa": kappa}
+    return Protocol("ramp", rates, 2.0 * updates, "scale", settings, row_time=1e3)  # VOT sec. III D
 
 
 def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale") -> Protocol:
@@ -77,8 +84,12 @@ def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale")
     """
     if len(rates) != len(strains) or len(rates) == 0:
         raise InputError(f"shear: {len(rates)} strain rates but {len(strains)} strains")
-    for strain in strains:
-        _check("strain", strain, strain > 0, "above 0")
+    if len(rates) > ranges.MOST_CHANGES:
+        raise InputError(f"shear: {len(rates)} strain rates; at most {ranges.MOST_CHANGES} in one run")
+    for rate, strain in zip(rates, strains, strict=True):
+        if rate != 0:
+            _check_rate(rate)
+        ranges.STRAIN.check("shear: the strain", strain)
     times = [strain / abs(rate) if rate else strain for rate, strain in zip(rates, strains, strict=True)]
     ends, values = np.cumsum(times), np.array(rates, dtype=float)
     if bulk == "scale" and (values == 0).any():
@@ -105,8 +116,12 @@ def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
         ω in 1/τe.
     cycles : float
     """
-    for name, value in (("amplitude", amplitude), ("omega", omega), ("cycles", cycles)):
-        _check(name, value, value > 0, "above 0")
+    for name, value, known in (
+        ("amplitude", amplitude, ranges.AMPLITUDE), ("omega", omega, ranges.SWING),
+        ("cycles", cycles, ranges.CYCLES),
+    ):  # fmt: skip
+        known.check(f"shear: the {name}", value)
+    ranges.RATE_SIZE.check("shear: amplitude × omega", amplitude * omega)
     settings = {"rate": amplitude * omega, "amplitude": amplitude, "omega": omega, "cycles": cycles}
     duration = 2 * np.pi * cycles / omega
     return Protocol(
@@ -114,6 +129,9 @@ def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
     )
 
 
-def _check(name: str, value: float, good: bool, what: str) -> None:
-    if not (isfinite(value) and good):
-        raise InputError(f"shear: {name} must be {what}, not {shown(value)}")
+def _check_rate(rate: float) -> None:
+    ranges.RATE.check("shear: the strain rate", rate)
+    if abs(rate) not in ranges.RATE_SIZE:
+        raise InputError(
+            f"shear: the size of the strain rate must be {ranges.RATE_SIZE}, not {shown(abs(rate))}"
+        )

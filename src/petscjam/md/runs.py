@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from petscjam import ranges
 from petscjam.compiled import build, use_threads
 from petscjam.damping import DampingLaw
 from petscjam.errors import DoubtfulWarning, InputError
@@ -25,13 +26,17 @@ from petscjam.md.result import Run, read_checkpoint, read_run
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import Start, first_state, given_state
 from petscjam.parallel.claims import claimed, made_folder
+from petscjam.parallel.memory import require
 from petscjam.potential import POTENTIALS, power_law
 from petscjam.progress import Report
+from petscjam.ranges import MOST_ROWS, MOST_STEPS
 from petscjam.storage import check_output, open_h5, release
 
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
 BUILD = ("version", "numba", "processor")  # settings that change no more than the last bits
-OWN = ("threads", "strain", "strains", "cycles", *BUILD)  # settings that a resumed run may change
+OWN = ("threads", "cycles", *BUILD)  # settings that a resumed run may change
+BYTES_PER_STEP = 16  # in a row: strains and rates of a fifth of its steps, and what they are made of
+BYTES_PER_ROW = 4000  # numbers of a row, its share of a block, and copies while they are written
 
 
 def shear(
@@ -110,7 +115,6 @@ def ramp(
     those of :func:`shear`.
     """
     protocol = protocols.ramp(rate, to, kappa)
-    options.setdefault("row_time", 1e3)
     return run(protocol, model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options)
 
 
@@ -138,10 +142,11 @@ def run(
     drag, spin_drag : float
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     row_time : float
-        τe between two rows of the time series; left out, a thousandth of the run.
+        τe between two rows of the time series, at least 50 steps; left out, a thousandth of the run, or 10³
+        τe in a ramp.
     resume : bool
         Go on where ``output`` ends, bit for bit as if it had not been stopped. A longer run goes on from its
-        end.
+        end. ``dt`` and ``row_time``, left out, are those of ``output``.
     overwrite : bool
         Replace ``output``.
     frames : int
@@ -151,6 +156,8 @@ def run(
         See :mod:`petscjam.progress`.
     """
     use_threads(threads)
+    ranges.SEED.check("shear: the seed", seed)
+    ranges.FRAMES.check("shear: the number of frames", frames)
     if frames and output is None:
         raise InputError("shear: frames are written beside the output: give one")
     with ExitStack() as held:
@@ -168,9 +175,9 @@ def run(
         if exponent is not None:
             potential = power_law(exponent, potential.relative)
         law = model_of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
-        dt = law.step(dt, integrator)
-        total = max(round(protocol.duration / dt), 1)
-        row_steps = max(LEAST, -(-total // ROW_COUNT) if row_time is None else round(row_time / dt))
+        there: Mapping[str, Any] = {} if earlier is None else earlier[0].settings
+        dt = float(there["dt"]) if dt is None and there else law.step(dt, integrator)
+        total, row_steps = _lengths(protocol, dt, row_time, there.get("row_steps"))
         settings = {
             "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q),
             "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
@@ -183,7 +190,9 @@ def run(
         if earlier is not None:
             _check_settings(output, earlier[0], settings | asked)
             simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
-            book = Book.reopened(*earlier, simulation)
+            if total > simulation.steps:
+                there = {**there, **protocol.settings}
+            book = Book.reopened(replace(earlier[0], settings=there), earlier[1], simulation)
             _note_build(output, book.settings, settings)
         else:
             first = first_state(given, origin, n, phi, seed, law, protocol)
@@ -199,6 +208,36 @@ def run(
         return made
 
 
+def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int | None) -> tuple[int, int]:
+    """Return the steps of the run and of a row, those of an ``earlier`` part unless ``row_time`` is given.
+
+    Raises
+    ------
+    InputError
+        If these are too many steps or rows, or take more memory than is free.
+    """
+    if row_time is not None:
+        ranges.ROW_TIME.check("shear: row_time", row_time)
+    steps = protocol.duration / dt
+    if not steps <= MOST_STEPS:
+        raise InputError(
+            f"shear: the run takes {steps:.3g} steps of {dt:.3g} tau_e; at most {MOST_STEPS:.0g}"
+        )
+    total = max(round(steps), 1)
+    between = protocol.row_time if row_time is None and earlier is None else row_time
+    if between is not None:
+        row_steps = max(LEAST, round(between / dt))
+    else:
+        row_steps = earlier or max(LEAST, -(-total // ROW_COUNT))
+    rows = -(-total // row_steps)
+    if row_steps > MOST_STEPS:
+        raise InputError(f"shear: row_time = {between:g} is {row_steps:.3g} steps; at most {MOST_STEPS:.0g}")
+    if rows > MOST_ROWS:
+        raise InputError(f"shear: the run has {rows} rows, at most {MOST_ROWS:.0g}; take a longer row_time")
+    require(min(row_steps, total) * BYTES_PER_STEP + rows * BYTES_PER_ROW, f"shear: {rows} rows")
+    return total, row_steps
+
+
 def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:
     """Return the run of a file, and its checkpoint."""
     with open_h5(output) as h5:
@@ -211,6 +250,8 @@ def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping
     """Refuse to go on with a run that was made with other settings; None agrees with all."""
     for name, value in asked.items():
         there: Any = run.settings.get(name)
+        if name == "strains":  # the last may be longer
+            there, value = there[:-1], value[:-1]
         if value is None or name in OWN or (name == "seed" and there is None):
             continue
         if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):

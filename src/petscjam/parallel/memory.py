@@ -38,6 +38,18 @@ def scratch_folder() -> Path:
     return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
+def require(size: float, what: str) -> None:
+    """Refuse to ask for ``size`` bytes that this machine does not have.
+
+    Raises
+    ------
+    InputError
+        It names ``what`` the memory is for, how much it takes and how much is free.
+    """
+    if size / 2**20 > (free := available_memory()):
+        raise InputError(f"{what}: needs about {size / 2**20:.3g} MB, and {free:.0f} MB are free; take less")
+
+
 def check_memory(comm: Any, unknowns: int, *, out_of_core: bool = False) -> str:
     """Say what a factor will need, before any work; collective.
 
