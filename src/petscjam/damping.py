@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam import ranges
 from petscjam.errors import InputError, shown
 from petscjam.kinematics import Form, StrainMode, form
 from petscjam.network import ContactNetwork
@@ -42,9 +43,8 @@ class DampingLaw:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value >= 0):
-                raise InputError(f"damping: {item.name} must be ≥ 0 and finite, not {shown(value)}")
             if not isinstance(value, bool):
+                item.metadata["range"].check(f"damping: {item.name}", value)
                 object.__setattr__(self, item.name, float(value))
 
     @property
@@ -79,7 +79,9 @@ class ContactDamping(DampingLaw):
         Take Δu⊥ where the disks touch and let them roll, or at their centres.
     """
 
-    beta: float = field(default=1.0, metadata={"help": "tangential over normal damping"})
+    beta: float = field(
+        default=1.0, metadata={"help": "tangential over normal damping", "range": ranges.BETA}
+    )
     rotations: bool = field(default=True, metadata={"help": "damp at the centres, disks do not roll"})
     name: ClassVar[str] = "contact"
     normal: ClassVar[float] = 1.0
@@ -105,7 +107,9 @@ class StokesDrag(DampingLaw):
         Viscosity ηF ≥ 0 of the fluid, in units of kτ1 (in two dimensions).
     """
 
-    eta_fluid: float = field(default=1.0, metadata={"help": "viscosity of the fluid, in k tau1"})
+    eta_fluid: float = field(
+        default=1.0, metadata={"help": "viscosity of the fluid, in k tau1", "range": ranges.FLUID}
+    )
     name: ClassVar[str] = "stokes"
     body: ClassVar[float] = 1.0
 

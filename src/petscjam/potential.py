@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 
 from petscjam.box import Array
-from petscjam.errors import InputError, shown
+from petscjam.errors import InputError
+from petscjam.ranges import EXPONENT
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ def power_law(exponent: float, relative: bool) -> Potential:
     InputError
         If the exponent is not a number of at least 2.
     """
-    if not (isfinite(exponent) and exponent >= 2):
-        raise InputError(f"potential: the exponent must be at least 2 and finite, not {shown(exponent)}")
+    EXPONENT.check("potential: the exponent", exponent)
     for known in POTENTIALS.values():
         if (known.exponent, known.relative) == (exponent, relative):
             return known

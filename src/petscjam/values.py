@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from petscjam.errors import shown
+from petscjam.ranges import Range
 
 MOST = 1_000_000  # seeds, or points of a range
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
@@ -40,6 +45,22 @@ def parsed_whole(text: str) -> int:
     if not WHOLE.fullmatch(text.strip()):
         raise ValueError(f"{text!r} is not a whole number")
     return int(text)
+
+
+@dataclass(frozen=True)
+class Within:
+    """The parser ``parse`` of text; each number that it finds must lie in ``range``."""
+
+    parse: Callable[[str], Any]
+    range: Range
+
+    def __call__(self, text: str) -> Any:
+        """Parse ``text``."""
+        found = self.parse(text)
+        for value in found if isinstance(found, Iterable) else [found]:
+            if value not in self.range:
+                raise argparse.ArgumentTypeError(f"must be {self.range}, not {shown(value)}")
+        return found
 
 
 def path(text: str) -> Path:

@@ -19,15 +19,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from petscjam.box import Array, Integers
 from petscjam.damping import DampingLaw
-from petscjam.errors import InputError, shown
+from petscjam.errors import InputError
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.memory import require
 from petscjam.progress import Report
+from petscjam.ranges import Range
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import Judged, frequencies
 from petscjam.response.spectrum import Spectrum
 
+FINEST = 1e-3  # of lanes and bins, mean diameters
 ALONG = 1e-9  # how far a lattice vector may point out of x, relative to its length
 
 
@@ -305,9 +308,9 @@ class _Lanes(NamedTuple):
             raise InputError(f"box: lanes need a lattice vector along x, and {cell.tolist()} has none")
         L, height = abs(float(cell[x, 0])), abs(float(cell[1 - x, 1]))
         for what, value, most in (("width", width, height), ("bin", bin, L / 2)):
-            if not (isinstance(value, int | float | np.number) and 0 < value <= most):
-                raise InputError(f"{what}: must be > 0 and at most {most:g}, not {shown(value)}")
+            Range(FINEST * packing.mean_diameter, most).check(f"{what}:", value)
         lanes, bins = int(np.ceil(height / width)), int(np.ceil(L / bin))
+        require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins")
         across = packing.box.fractional(packing.positions)[:, 1 - x]
         along = packing.positions[:, 0] - np.floor(across) * cell[1 - x, 0]
         lane = np.floor(across % 1 * lanes).astype(np.int64) % lanes

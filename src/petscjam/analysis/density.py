@@ -14,14 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam import ranges
 from petscjam.box import Array
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, SolverError, shown
+from petscjam.errors import InputError, SolverError
 from petscjam.interrupt import check
 from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.network import ContactNetwork
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import agree, resolve, total
+from petscjam.parallel.memory import require
 from petscjam.parallel.petsc import destroying, stage
 from petscjam.progress import Report
 from petscjam.response.matrices import assembled
@@ -142,9 +144,10 @@ def density_of_states(
     """
     comm = resolve(comm)
     agree(comm, packing, moments, vectors, seed, prestress)
-    for what, value, least in (("moments", moments, 2), ("vectors", vectors, 2), ("seed", seed, 0)):
-        if not (isinstance(value, int | np.integer) and value >= least):
-            raise InputError(f"{what}: must be a whole number ≥ {least}, not {shown(value)}")
+    ranges.MOMENTS.check("moments:", moments)
+    ranges.VECTORS.check("vectors:", vectors)
+    ranges.SEED.check("seed:", seed)
+    require(24.0 * vectors * moments, f"density: {vectors} × {moments} moments")
     # which law and strain is immaterial: only K_uu enters
     problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], prestress, comm)
     if problem.negative_modes:

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import gamma
 
+from petscjam import ranges
 from petscjam.box import Array
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, shown
+from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
 from petscjam.parallel.comm import agree
 from petscjam.potential import potential
@@ -207,7 +208,6 @@ def unstable(soft: Any, lowest: float) -> list[str]:
 
 
 def check_amplitude(stress: float, alpha: float) -> None:
-    """Refuse what is not > 0 and finite."""
-    for what, value in (("stress", stress), ("alpha", alpha)):
-        if not (isinstance(value, int | float | np.number) and 0 < value < np.inf):
-            raise InputError(f"{what}: must be > 0 and finite, not {shown(value)}")
+    """Refuse what is not in its range."""
+    ranges.STRESS.check("stress:", stress)
+    ranges.ALPHA.check("alpha:", alpha)

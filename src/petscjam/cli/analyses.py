@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from petscjam.cli.laws import chosen_laws, law_options
-from petscjam.cli.verbs import all_packings, check_team_size, finish, say
+from petscjam.cli.verbs import all_packings, finish, say
 from petscjam.damping import DampingLaw
 from petscjam.errors import InputError
 from petscjam.parallel.comm import on_root
@@ -105,7 +105,6 @@ def _survey(
     from petscjam.progress import progress
     from petscjam.report import table
 
-    check_team_size(options)
     start(comm)
     with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
         made, failures = survey(

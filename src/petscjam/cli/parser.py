@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, NoReturn
 
+from petscjam import ranges
 from petscjam.cli import analyses, shearing, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
@@ -19,6 +20,7 @@ from petscjam.packing.prepare import BUDGET, METHODS
 from petscjam.potential import POTENTIALS
 from petscjam.storage import release
 from petscjam.values import (
+    Within,
     diameters,
     evenly,
     frequencies,
@@ -36,11 +38,19 @@ from petscjam.values import (
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
 
+class Help(argparse.HelpFormatter):
+    """Help that tells the range of each number."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        known = f"; {action.type.range}" if isinstance(action.type, Within) else ""
+        return f"{action.help}{known}" if action.help else None
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser that reads a file of settings, too, and answers a mistake with one line."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(**{"allow_abbrev": False, **kwargs})
+        super().__init__(**{"allow_abbrev": False, "formatter_class": Help, **kwargs})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Put what ``--config FILE`` says in front of the options; the later of two counts."""
@@ -65,33 +75,35 @@ def build_parser() -> Parser:
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
     p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at target pressures", RANKS)
-    p.add_argument("--particles", type=whole, default="1024", metavar="N,…",
+    p.add_argument("--particles", type=Within(whole, ranges.PREPARED), default="1024", metavar="N,…",
                    help="numbers of disks (default 1024)")  # fmt: skip
     p.add_argument("--pressure", type=points, default="1e-3", metavar="P",
                    help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
                         "counted (default 1e-3)")  # fmt: skip
     either = p.add_mutually_exclusive_group()
-    either.add_argument("--seed", type=integer, help="seed of the random start (default 1)")
-    either.add_argument("--seeds", type=seeds, metavar="A:B",
+    either.add_argument(
+        "--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)"
+    )
+    either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B",
                         help="many seeds: A to B, both counted, or a list A,B,…")  # fmt: skip
     p.add_argument("--shear-stabilised", action="store_true",
                    help="relax the shape of the cell, too; stable against shear")  # fmt: skip
     p.add_argument("--decompress", action="store_true",
                    help="start each pressure from the packing of the next higher one")  # fmt: skip
-    p.add_argument("--ratio", type=number, default=1.4, metavar="X",
+    p.add_argument("--ratio", type=Within(number, ranges.RATIO), default=1.4, metavar="X",
                    help="diameter of large disks over that of small ones (default 1.4)")  # fmt: skip
-    p.add_argument("--composition", type=number, default=0.5, metavar="X",
+    p.add_argument("--composition", type=Within(number, ranges.COMPOSITION), default=0.5, metavar="X",
                    help="share of small disks, by number (default 0.5)")  # fmt: skip
-    p.add_argument("--polydispersity", type=number, default=0.0, metavar="X",
+    p.add_argument("--polydispersity", type=Within(number, ranges.POLYDISPERSITY), default=0.0, metavar="X",
                    help="standard deviation over mean of the diameters of each kind (default 0)")  # fmt: skip
     p.add_argument("--potential", choices=POTENTIALS, default="harmonic",
                    help="contact potential (default harmonic)")  # fmt: skip
     p.add_argument("--method", choices=METHODS, default="fire",
                    help="minimiser: FIRE or nonlinear conjugate gradients (default fire)")  # fmt: skip
-    p.add_argument("--threads", type=integer, metavar="T",
+    p.add_argument("--threads", type=Within(integer, ranges.THREADS), metavar="T",
                    help="threads of each rank (default: its share of the cores if the packings are large and "
                         "few, else 1)")  # fmt: skip
-    p.add_argument("--budget", type=integer, default=BUDGET, metavar="E",
+    p.add_argument("--budget", type=Within(integer, ranges.BUDGET), default=BUDGET, metavar="E",
                    help=f"evaluations of the force for each packing (default {BUDGET})")  # fmt: skip
     p.add_argument("--config", type=path, metavar="FILE.toml",
                    help="settings by the names of these options, as pressure = \"1e-2:1e-4:9\"; the command "
@@ -139,30 +151,30 @@ def build_parser() -> Parser:
     )
     p.add_argument(
         "--omega",
-        type=frequencies,
+        type=Within(frequencies, ranges.OMEGA),
         metavar="RANGE",
         help="tts, csv: other frequencies than the stored ones, in 1/tau1: A:B:N or A,B,…",
     )
     p.add_argument(
         "--time",
-        type=points,
+        type=Within(points, ranges.TIME),
         metavar="RANGE",
         help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
     )
-    p.add_argument("--strain", type=number, metavar="X",
+    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X",
                    help="lammps: how far its input shears (default 1)")  # fmt: skip
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
-    p.add_argument("--omega", type=frequencies, default="1e-8:1e2:61", metavar="RANGE",
+    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-8:1e2:61", metavar="RANGE",
                    help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
                         "or a list A,B,… (default 1e-8:1e2:61)")  # fmt: skip
     damping(p)
     strain_and_prestress(p)
     p.add_argument(
         "--fields",
-        type=frequencies,
+        type=Within(frequencies, ranges.OMEGA),
         default=(),
         metavar="RANGE",
         help="frequencies in 1/tau1 (nearest of the sweep) whose displacements are kept",
@@ -174,7 +186,7 @@ def build_parser() -> Parser:
                    help="one factorisation a frequency instead of the reduced model")  # fmt: skip
     team_size(p)
     p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
-    p.add_argument("--block-low-rank", type=number, default=0.0, metavar="X",
+    p.add_argument("--block-low-rank", type=Within(number, ranges.COMPRESSION), default=0.0, metavar="X",
                    help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it "
                         "(default 0: exact)")  # fmt: skip
     output(p, "OUT.h5", "results, one group a packing")
@@ -188,7 +200,9 @@ def build_parser() -> Parser:
 
     p = add(known, "modes", analyses.modes, "lowest modes of the stiffness, or slowest relaxations", RANKS)
     packings(p)
-    p.add_argument("--count", type=integer, default=50, metavar="M", help="how many (default 50)")
+    p.add_argument(
+        "--count", type=Within(integer, ranges.MODES), default=50, metavar="M", help="how many (default 50)"
+    )
     text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
     p.add_argument("--relaxation", action="store_true", help=text)
     damping(p)
@@ -199,9 +213,17 @@ def build_parser() -> Parser:
     p = add(known, "density", analyses.density, "density of states D(omega) of all modes, unit masses", RANKS)
     packings(p)
     text = "Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)"
-    p.add_argument("--moments", type=integer, default=1024, metavar="M", help=text)
-    p.add_argument("--vectors", type=integer, default=16, metavar="V", help="random vectors (default 16)")
-    p.add_argument("--seed", type=integer, default=1, help="of the random vectors (default 1)")
+    p.add_argument("--moments", type=Within(integer, ranges.MOMENTS), default=1024, metavar="M", help=text)
+    p.add_argument(
+        "--vectors",
+        type=Within(integer, ranges.VECTORS),
+        default=16,
+        metavar="V",
+        help="random vectors (default 16)",
+    )
+    p.add_argument(
+        "--seed", type=Within(integer, ranges.SEED), default=1, help="of the random vectors (default 1)"
+    )
     prestress(p)
     team_size(p)
     output(p, "OUT.h5", "D(omega) with its error and resolution")
@@ -210,7 +232,7 @@ def build_parser() -> Parser:
     p = add(known, "correlations", analyses.correlations, text, RANKS)
     packings(p)
     text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default {})"
-    p.add_argument("--omega", type=frequencies, default="1e-8:1e0:9", metavar="RANGE",
+    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-8:1e0:9", metavar="RANGE",
                    help=text.format("1e-8:1e0:9"))  # fmt: skip
     damping(p)
     prestress(p)
@@ -228,10 +250,16 @@ def build_parser() -> Parser:
     what = "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping"
     p = add(known, "drag", analyses.drag, what, RANKS)
     packings(p)
-    p.add_argument("--omega", type=frequencies, default="1e-6:1e1:29", metavar="RANGE",
+    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-6:1e1:29", metavar="RANGE",
                    help=text.format("1e-6:1e1:29"))  # fmt: skip
-    p.add_argument("--stress", type=number, required=True, metavar="X", help="amplitude of the stress, in k")
-    p.add_argument("--alpha", type=number, default=2 / 3, metavar="X",
+    p.add_argument(
+        "--stress",
+        type=Within(number, ranges.STRESS),
+        required=True,
+        metavar="X",
+        help="amplitude of the stress, in k",
+    )
+    p.add_argument("--alpha", type=Within(number, ranges.ALPHA), default=2 / 3, metavar="X",
                    help="exponent of the force law, above 0; 1 is linear (default 2/3)")  # fmt: skip
     p.add_argument(
         "--uniform",
@@ -251,9 +279,11 @@ def build_parser() -> Parser:
 
     text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
-    p.add_argument("--rate", type=numbers, metavar="X,…",
+    p.add_argument("--rate", type=Within(numbers, ranges.RATE), metavar="X,…",
                    help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)")  # fmt: skip
-    p.add_argument("--strain", type=number, metavar="X", help="to shear by (default 10)")
+    p.add_argument(
+        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="to shear by (default 10)"
+    )
     p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…",
                    help="go on at other strain rates; 0:TIME is rest, for a time in tau_e")  # fmt: skip
     p.add_argument("--bulk", choices=BULK,
@@ -265,10 +295,15 @@ def build_parser() -> Parser:
 
     text = "raise the strain rate step by step, and lower it again (VOT eqs. 38-41)"
     p = add(known, "ramp", shearing.ramp, text, RANKS)
-    p.add_argument("--rate", type=numbers, metavar="X,…", help="first strain rate, in 1/tau_e (default 1e-6)")
-    p.add_argument("--to", type=number, default=1e-3, metavar="X",
+    p.add_argument(
+        "--rate",
+        type=Within(numbers, ranges.RATE_SIZE),
+        metavar="X,…",
+        help="first strain rate, in 1/tau_e (default 1e-6)",
+    )
+    p.add_argument("--to", type=Within(number, ranges.RATE_SIZE), default=1e-3, metavar="X",
                    help="strain rate at which it turns, in 1/tau_e (default 1e-3)")  # fmt: skip
-    p.add_argument("--kappa", type=number, default=1e-5, metavar="X",
+    p.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X",
                    help="decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)")  # fmt: skip
     disks(p)
 
@@ -301,7 +336,7 @@ def build_parser() -> Parser:
 
 def reading(p: Parser) -> None:
     """Add what a file of another program may not say."""
-    p.add_argument("--index", type=integer, default=0, metavar="K",
+    p.add_argument("--index", type=Within(integer, ranges.INDEX), default=0, metavar="K",
                    help="which packing of a file with several, from 0 on (default 0)")  # fmt: skip
     text = "contact potential of a file that does not say it (default harmonic; of jsrc harmonic-relative)"
     p.add_argument("--potential", choices=POTENTIALS, help=text)
@@ -321,36 +356,45 @@ def disks(p: Parser) -> None:
                    help=f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below",
                    )  # fmt: skip
     damping(p)
-    p.add_argument("--particles", type=whole, metavar="N,…", help="numbers of disks, even (default 1024)")
-    p.add_argument("--phi", type=evenly, metavar="X,…",
+    p.add_argument(
+        "--particles",
+        type=Within(whole, ranges.SHEARED),
+        metavar="N,…",
+        help="numbers of disks, even (default 1024)",
+    )
+    p.add_argument("--phi", type=Within(evenly, ranges.PHI), metavar="X,…",
                    help="packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)")  # fmt: skip
-    p.add_argument("--Q", type=numbers, default="1", metavar="X,…",
+    p.add_argument("--Q", type=Within(numbers, ranges.Q), default="1", metavar="X,…",
                    help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
                    )  # fmt: skip
     either = p.add_mutually_exclusive_group()
-    either.add_argument("--seed", type=integer, help="seed of the random start (default 1)")
-    either.add_argument("--seeds", type=seeds, metavar="A:B", help="many seeds: A to B, both counted")
+    either.add_argument(
+        "--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)"
+    )
+    either.add_argument(
+        "--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help="many seeds: A to B, both counted"
+    )
     p.add_argument("--start", type=path, metavar="FILE",
                    help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
                         "(export --to lammps), not at random")  # fmt: skip
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun",
                    help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
                    )  # fmt: skip
-    p.add_argument("--dt", type=number, metavar="X",
+    p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X",
                    help="time step in tau_e, divided where the contacts demand it (default: one that keeps "
                         "the energy budget within 1 percent, at most 0.05)")  # fmt: skip
-    p.add_argument("--exponent", type=number, metavar="X",
+    p.add_argument("--exponent", type=Within(number, ranges.EXPONENT), metavar="X",
                    help="of the repulsion V ~ overlap^X (default 2, or that of --start)")  # fmt: skip
-    p.add_argument("--drag", type=number, default=0.0, metavar="X",
+    p.add_argument("--drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X",
                    help="Stokes drag on disks, in m/tau_e (default 0)")  # fmt: skip
-    p.add_argument("--spin-drag", type=number, default=0.0, metavar="X",
+    p.add_argument("--spin-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X",
                    help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)")  # fmt: skip
-    p.add_argument("--threads", type=integer, default=1, metavar="T",
+    p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T",
                    help="of a run; they pay from 10000 disks on (default 1)")  # fmt: skip
-    p.add_argument("--row-time", type=number, metavar="X",
-                   help="tau_e between rows of the time series (default a thousandth of the run; ramp: 1000)",
-                   )  # fmt: skip
-    p.add_argument("--frames", type=integer, default=0, metavar="K",
+    p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X",
+                   help="tau_e between rows of the time series, at least 50 steps (default a thousandth of "
+                        "the run; ramp: 1000)")  # fmt: skip
+    p.add_argument("--frames", type=Within(integer, ranges.FRAMES), default=0, metavar="K",
                    help="snapshots for OVITO, in the folder OUT.frames (default 0)")  # fmt: skip
     output(p, "RUN.h5", "the run, or a folder for several")
 
@@ -365,7 +409,8 @@ def damping(p: Parser) -> None:
                 p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
             else:
                 text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
-                p.add_argument(option(item), dest=item.name, type=numbers, metavar="X,…", help=text)
+                p.add_argument(option(item), dest=item.name, type=Within(numbers, item.metadata["range"]),
+                               metavar="X,…", help=text)  # fmt: skip
 
 
 def strain_and_prestress(p: Parser) -> None:
@@ -387,7 +432,7 @@ def prestress(p: Parser) -> None:
 
 def team_size(p: Parser) -> None:
     """Add how ranks share the work."""
-    p.add_argument("--team-size", type=integer, metavar="R",
+    p.add_argument("--team-size", type=Within(integer, ranges.RANKS), metavar="R",
                    help="ranks that work on a packing together (default 1; more where packings are few or "
                         "large)")  # fmt: skip
 

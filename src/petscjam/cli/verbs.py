@@ -32,8 +32,6 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
         potential_name=options.potential, ratio=options.ratio, composition=options.composition,
         polydispersity=options.polydispersity,
     )  # fmt: skip
-    if options.threads is not None and options.threads < 1:
-        raise InputError(f"prepare: --threads must be at least 1, not {options.threads}")
     start(comm)
     several = options.seeds is not None or len(options.particles) * len(options.pressure) > 1
     if not (several or options.decompress or options.output.is_dir()):
@@ -358,12 +356,6 @@ def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Name
         return set(runs) - set(failures)
 
 
-def check_team_size(options: argparse.Namespace) -> None:
-    """Refuse teams without ranks."""
-    if options.team_size is not None and options.team_size < 1:
-        raise InputError(f"{options.verb}: --team-size must be at least 1, not {options.team_size}")
-
-
 def finish(failures: list[str], what: str) -> None:
     """Raise if some of the work failed."""
     if failures:
@@ -385,7 +377,6 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     start(comm)
     laws, omega = chosen_laws(options), options.omega
-    check_team_size(options)
     reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0]
     if options.direct and any(reduced):
         raise InputError(
@@ -393,10 +384,6 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
         )
     rtol = 1e-6 if options.rtol is None else options.rtol
     checked_rtol(rtol, 1e-12)
-    if not 0 <= options.block_low_rank <= 0.1:
-        raise InputError(
-            f"moduli: --block-low-rank must be between 0 and 0.1, not {options.block_low_rank:g}"
-        )
     for w in options.fields:
         if not omega.min() <= w <= omega.max():
             raise InputError(f"--fields {w:g} lies outside the sweep")

@@ -10,13 +10,14 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import combinations_with_replacement
-from math import ceil, isfinite
+from math import ceil
 from numbers import Integral
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from petscjam import ranges
 from petscjam.box import Array
 from petscjam.errors import InputError, shown
 from petscjam.md.model import Model, stable_step
@@ -146,12 +147,9 @@ def write_lammps(
     ):
         if not good:
             raise InputError(f"lammps: its input has {what} {shown(value)}")
-    for name, value, good, what in (
-        ("rate", rate, rate != 0, "other than 0"),
-        ("strain", strain, strain > 0, "above 0"),
-    ):
-        if not (good and isfinite(value)):
-            raise InputError(f"lammps: {name} must be {what} and finite, not {shown(value)}")
+    ranges.RATE.check("lammps: rate", rate)
+    ranges.RATE_SIZE.check("lammps: the size of the rate", abs(rate))
+    ranges.STRAIN.check("lammps: strain", strain)
     # With damping from velocities half a step old dt is stable if dt λ/2 + dt² κ/4 ≤ 1.
     relaxation, oscillation = Simulation(state, model).fastest()
     largest = stable_step("single", relaxation / 2, oscillation)
@@ -161,6 +159,8 @@ def write_lammps(
             f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}"
         )
     steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
+    if steps > ranges.MOST_STEPS:
+        raise InputError(f"lammps: {steps:.3g} time steps; at most {ranges.MOST_STEPS:.0g}")
     if every is None:
         every = max(1, steps // FRAMES)
     if not (isinstance(every, Integral) and every > 0):

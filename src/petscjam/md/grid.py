@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -16,6 +17,7 @@ from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.teams import teams
 from petscjam.progress import Report, part
+from petscjam.ranges import MOST_RUNS
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,16 @@ def grid(
     models: Sequence[str | DampingLaw], n: Sequence[int], phi: Sequence[float], Q: Sequence[float],
     rate: Sequence[float], seeds: Sequence[int],
 ) -> list[Point]:  # fmt: skip
-    """Return every combination, each once."""
+    """Return every combination, each once.
+
+    Raises
+    ------
+    InputError
+        If there are more than :data:`petscjam.ranges.MOST_RUNS`.
+    """
+    count = math.prod(map(len, (models, n, phi, Q, rate, seeds)))
+    if count > MOST_RUNS:
+        raise InputError(f"shear: {count} runs; at most {MOST_RUNS:.0g} at once")
     return list(dict.fromkeys(Point(*values) for values in product(models, n, phi, Q, rate, seeds)))
 
 

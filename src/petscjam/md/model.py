@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import inf, isfinite, sqrt
+from math import inf, sqrt
 from typing import Any
 
+from petscjam import ranges
 from petscjam.damping import LAWS, ContactDamping, DampingLaw
 from petscjam.errors import InputError, shown
 from petscjam.potential import POTENTIALS, Potential, potential
@@ -56,13 +57,11 @@ class Model:
     spin_drag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value, good, what in (
-            ("Q", self.Q, self.Q > 0, "above 0"),
-            ("drag", self.drag, self.drag >= 0, "0 or more"),
-            ("spin_drag", self.spin_drag, self.spin_drag >= 0, "0 or more"),
-        ):
-            if not (good and isfinite(value)):
-                raise InputError(f"shear: {name} must be {what} and finite, not {shown(value)}")
+        for name, value, known in (
+            ("Q", self.Q, ranges.Q), ("drag", self.drag, ranges.DRAG),
+            ("spin_drag", self.spin_drag, ranges.DRAG),
+        ):  # fmt: skip
+            known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
 
     @property
@@ -123,7 +122,8 @@ class Model:
         if dt is None:
             accurate = (x / rate for x, rate in zip(ACCURATE[integrator], self._pair, strict=True) if rate)
             return min(STEP, largest / 2, *accurate)
-        if not 0 < dt <= largest * (1 + 1e-12):
+        ranges.DT.check("shear: dt", dt)
+        if not dt <= largest * (1 + 1e-12):
             raise InputError(
                 f"shear: dt must be above 0 and, for {integrator} with {self.name} at Q = {self.Q:g}, "
                 f"at most {largest:.3g} tau_e, not {shown(dt)}"

@@ -8,17 +8,18 @@ Axes: i disk, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from numbers import Integral
 
 import numpy as np
 
+from petscjam import ranges
 from petscjam.box import Array, Box, frozen
 from petscjam.errors import InputError, shown
 from petscjam.packing.packing import Packing
+from petscjam.parallel.memory import require
 from petscjam.potential import Potential, potential
 
 RATIO = 1.4
-DENSEST = 1.0
+BYTES_PER_DISK = 1000  # of a simulation: disks, pairs, sums, and what is written
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,24 +119,22 @@ class State:
 
 def radii(n: int) -> Array:
     """Return the radii of VOT: half of the disks of diameter 1, half of 1.4."""
-    if not isinstance(n, Integral) or n < 16 or n % 2:
-        raise InputError(f"shear: the number of disks must be even and at least 16, not {shown(n)}")
+    ranges.SHEARED.check("shear: the number of disks", n)
+    if n % 2:
+        raise InputError(f"shear: the number of disks must be even, not {shown(n)}")
     return np.where(np.arange(n) < n // 2, 0.5, 0.5 * RATIO)
 
 
 def cell_length(sizes: Array, phi: float) -> float:
     """Return the edge L at which ``sizes`` (radii) have packing fraction ``phi`` (VOT eq. 11)."""
-    if not 0 < phi <= DENSEST:
-        raise InputError(
-            f"shear: the packing fraction phi must be above 0 and at most {DENSEST}, not {shown(phi)}"
-        )
+    ranges.PHI.check("shear: the packing fraction phi", phi)
     return float(np.sqrt(np.pi * (sizes**2).sum() / phi))
 
 
 def random_state(n: int, phi: float, seed: int, potential_name: str = "harmonic-relative") -> State:
     """Return disks at rest, at random positions: they overlap."""
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"shear: the seed must be a whole number, 0 or more, not {shown(seed)}")
+    ranges.SEED.check("shear: the seed", seed)
+    require(BYTES_PER_DISK * n, f"shear: {n} disks")
     sizes = radii(n)
     L = cell_length(sizes, phi)
     x = np.random.default_rng(seed).random((n, 2)) * L

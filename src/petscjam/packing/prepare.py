@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import log
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from petscjam import ranges
 from petscjam.box import Array, Box
 from petscjam.errors import InputError, SolverError, shown
 from petscjam.interrupt import deferred
@@ -20,12 +21,14 @@ from petscjam.packing.certify import Instability, judge
 from petscjam.packing.minimise import METHODS, Enthalpy, Goal
 from petscjam.packing.newton import descend, first_closeness, near
 from petscjam.packing.packing import Packing
+from petscjam.parallel.memory import require
 from petscjam.potential import POTENTIALS
 from petscjam.progress import Report
 from petscjam.storage import release
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
 PUSHES = 1000
+BYTES_PER_DISK = 3000  # disks, pairs, and the factor that proves a minimum
 BUDGET = 2_000_000
 ESCAPES = 20  # times that a negative mode is followed downhill
 ADJUSTMENTS = 10  # of the cell, at the end
@@ -326,17 +329,16 @@ def check(n: int, pressure: float, seed: int, **others: Any) -> None:
 
     ``others`` are keyword arguments of it, by name; those left out are taken to be right.
     """
-    if not isinstance(n, Integral) or n < 8:
-        raise InputError(f"prepare: the number of disks must be a whole number of at least 8, not {shown(n)}")
+    ranges.PREPARED.check("prepare: the number of disks", n)
     if not isinstance(pressure, Real):
         raise InputError(f"prepare: the pressure must be a number above 0, not {shown(pressure)}")
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"prepare: the seed must be a whole number, 0 or more, not {shown(seed)}")
-    for name, low, high in (("ratio", 0, 100), ("composition", 0, 1), ("polydispersity", 0, 0.3)):
-        value = others.get(name, 0.1)
-        if not isinstance(value, Real) or not low <= value <= high or (name == "ratio" and value == 0):
-            above = "above 0" if name == "ratio" else f"{low} or more"
-            raise InputError(f"prepare: the {name} must be {above} and at most {high}, not {shown(value)}")
+    ranges.SEED.check("prepare: the seed", seed)
+    for name, known in (
+        ("ratio", ranges.RATIO), ("composition", ranges.COMPOSITION),
+        ("polydispersity", ranges.POLYDISPERSITY),
+    ):  # fmt: skip
+        known.check(f"prepare: the {name}", others.get(name, 0.1))
+    require(BYTES_PER_DISK * n, f"prepare: {n} disks")
     kind = others.get("potential_name", "harmonic")
     if kind not in POTENTIALS:
         raise InputError(f"prepare: the potential {kind!r} is unknown; known are {', '.join(POTENTIALS)}")
@@ -367,5 +369,4 @@ def check_relaxation(
         )
     if method not in METHODS:
         raise InputError(f"prepare: the method {method!r} is unknown; known are {', '.join(METHODS)}")
-    if not isinstance(budget, Integral) or budget < 1:
-        raise InputError(f"prepare: the budget must be a whole number of evaluations, not {shown(budget)}")
+    ranges.BUDGET.check("prepare: the budget of evaluations", budget)

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from petscjam.box import Array, Integers
 from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, shown
+from petscjam.errors import InputError
 from petscjam.kinematics import contact_rows, strain_mode
 from petscjam.network import ContactNetwork
 from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
@@ -26,6 +26,7 @@ from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.progress import Report
+from petscjam.ranges import MODES
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem, describe
@@ -216,9 +217,8 @@ def lowest_modes(
 
 
 def check(count: int, network: ContactNetwork) -> None:
-    """Refuse a ``count`` that is not a whole number of at least 1, and a backbone of one disk."""
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-        raise InputError(f"count: must be a whole number of at least 1, not {shown(count)}")
+    """Refuse a ``count`` out of its range, and a backbone of one disk."""
+    MODES.check("count:", count)
     if network.backbone.sum() < 2:
         raise InputError("packing: a backbone of one disk has no modes but translations")
 

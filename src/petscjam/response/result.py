@@ -14,19 +14,19 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.box import Array
 from petscjam.errors import InputError
 from petscjam.packing.packing import Packing
+from petscjam.ranges import OMEGA
 
 if TYPE_CHECKING:
     from petscjam.response.spectrum import Spectrum
 
 
 def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
-    """Return ``omegas`` as an array, or refuse an empty one and any that is not > 0 and finite."""
+    """Return ``omegas`` as an array, or refuse an empty one and any that is out of range."""
     omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
     if omega.size == 0 and not empty:
         raise InputError("omega: the range is empty")
-    bad = ~(np.isfinite(omega) & (omega > 0))
-    if bad.any():
-        raise InputError(f"omega: frequencies must be > 0 and finite, not {omega[np.argmax(bad)]:g}")
+    for value in omega[~((omega >= OMEGA.low) & (omega <= OMEGA.high))]:
+        OMEGA.check("omega: frequencies", float(value))
     return omega
 
 
