@@ -13,7 +13,8 @@ SOURCE = Path(__file__).parents[1] / "src"
 # A module may import from its own line and from the lines above it. The longest name that fits counts,
 # so packing.prepare stands below network, though packing stands above it.
 PIPELINE = [
-    "errors ranges storage progress values compiled interrupt parallel.comm parallel.container parallel.memory",
+    "errors ranges storage progress values compiled interrupt",
+    "parallel.comm parallel.container parallel.memory",
     "box neighbours",
     "potential",
     "packing",

@@ -145,7 +145,7 @@ class Book:
         block = {
             "angles": self._angles, "layers": self._layers, "moments": self._moments,
             "scatter": self._scatter,
-            "looked": np.array([self._looks, self._pairs]),
+            "looked": np.array([self._looks, self._pairs], dtype=np.int64),
         }  # fmt: skip
         saved = {**s.checkpoint(), **{f"block_{name}": value.copy() for name, value in block.items()}}
         self._state = s.state

@@ -321,8 +321,11 @@ def read_checkpoint(h5: Any) -> dict[str, Any]:
     """Return what a run needs to go on (:meth:`petscjam.md.book.Book.write`) from an open HDF5 file."""
     saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
     check_shapes("checkpoint", CHECKPOINT, saved)
+    whole = {"tag", "contacts", "counts", "block_angles"}
+    if saved["block_looked"].dtype.kind == "i":  # floats in older files, unless a block had just been closed
+        whole.add("block_looked")
     for name in CHECKPOINT:
-        kind = "Integers" if name in ("tag", "contacts", "counts", "block_angles") else "Array"
+        kind = "Integers" if name in whole else "Array"
         check_type(f"checkpoint: {name}", saved[name], kind)
         if name != "block_scatter" and not np.isfinite(saved[name]).all():
             raise InputError(f"checkpoint: {name} is not finite")
