@@ -90,6 +90,8 @@ def test_table_flags_an_unstable_packing(tmp_path, capsys):
     main(["moduli", str(tmp_path / "lattice.h5"), "--omega", "1", "-o", str(tmp_path / "g.h5")])
     assert "UNSTABLE: G0 < 0" in capsys.readouterr().out
     assert not pj.read_modulus(tmp_path / "g.h5").stable
+    assert main(["export", str(tmp_path / "g.h5"), "-o", str(tmp_path / "g.csv")]) == 0
+    assert "g.csv: UNSTABLE: G0 < 0" in capsys.readouterr().err
 
 
 def test_resume_adds_only_what_is_missing(packing, tmp_path):
@@ -626,6 +628,7 @@ def test_formats_of_packings_are_not_those_of_moduli(packing, modulus, capfd):
     assert "csv" in refused(capfd, "export", modulus, "--to", "xyz")
     assert "xyz" in refused(capfd, "export", packing, "--to", "tts")
     assert "--omega" in refused(capfd, "export", packing, "--omega", "1")
+    assert "--time" in refused(capfd, "export", modulus, "--average", "--time", "1")
 
 
 def test_a_model_is_drawn(packing, tmp_path):

@@ -156,6 +156,7 @@ prepare --seed 9223372036854775808
 prepare --particles 100000000
 prepare --particles 1e22
 prepare --budget 9223372036854775808
+prepare --particles 16,18 --seeds 1:1000000
 density PACKING --moments 10000000000000000000000
 density PACKING --moments 1000000 --vectors 100000
 density PACKING --seed 9223372036854775808

@@ -162,6 +162,17 @@ def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, setti
     assert {name: np.array(after.settings[name]).tolist() for name in settings} == settings
 
 
+def test_disks_that_never_meet_dissipate_nothing():
+    """No heat, and no share of it that the budget misses; the progress says so, too."""
+    texts = []
+    alone = pj.md.shear(
+        "CD", 16, 1e-4, rate=1e-2, strain=0.05, progress=lambda fraction, text: texts.append(text)
+    )
+    assert alone.rows["heat"].sum() == 0
+    assert alone.missed == 0
+    assert texts and "budget" not in texts[-1]
+
+
 @pytest.mark.parametrize(
     ("other", "named"),
     [("--strain 2 --dt 0.01", "dt = 0.02"), ("--strain 2 --row-time 7", "row_steps = 50, not 350"),
@@ -232,6 +243,7 @@ BAD = [
     ("--oscillate 1:2", "1:2"), ("--rate nan", "nan"), ("--then 1e-3", "1e-3"),
     ("--phi 1.2,1.3 --particles 36", "1.2"), ("--bulk profile", "--bulk"),
     ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"), ("--start nowhere.h5 --seeds 1:2", "--seeds"),
+    ("--start nowhere.h5 --seed 2", "--seed"),
 ]  # fmt: skip
 
 

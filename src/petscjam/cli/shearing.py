@@ -77,8 +77,8 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
             print(f"petscjam: warning: {file}: {text}", file=sys.stderr, flush=True)
 
     start = options.start is not None
-    if start and options.seeds:
-        raise InputError(f"{options.verb}: --seeds goes without --start: nothing would be random")
+    if start and (options.seeds or options.seed is not None):
+        raise InputError(f"{options.verb}: --seed and --seeds go without --start: nothing would be random")
     sizes = options.particles or [None if start else 1024]
     phis = options.phi or [None if start else 0.82]
     seeds = options.seeds or [1 if options.seed is None else options.seed]

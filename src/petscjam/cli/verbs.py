@@ -215,14 +215,19 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         if curve and options.average:
             if fmt != "csv":
                 raise InputError(f"export: --average is written as csv, not as {fmt}")
+            if options.time is not None:
+                raise InputError("export: --time goes with --to gt, not with --average")
             mean = average(_matching(options), options.omega)
             export_average(mean, target, overwrite=options.overwrite)
         elif curve:
             with naming(options.file):
+                result = _one_result(options)
                 export_rheology(
-                    _one_result(options), target, fmt, omegas=options.omega, times=options.time,
+                    result, target, fmt, omegas=options.omega, times=options.time,
                     overwrite=options.overwrite,
                 )  # fmt: skip
+            if not result.stable:
+                print(f"petscjam: warning: {target}: {result.state}", file=sys.stderr, flush=True)
         elif options.group or options.average or options.omega is not None or options.time is not None:
             raise InputError("export: --group, --average, --omega and --time go with results")
         else:

@@ -155,7 +155,9 @@ class Book:
         last = {name: values[-1] for name, values in self.rows.items()}
         pressure = (last["elastic_xx"] + last["elastic_yy"]) / 2
         heat, missed = (sum(self.rows[name]) for name in ("heat", "imbalance"))
-        doubt = f", budget misses {abs(missed / heat):.1%} of the heat" if abs(missed) > MISSED * heat else ""
+        doubt = ""
+        if 0 < MISSED * heat < abs(missed):
+            doubt = f", budget misses {abs(missed / heat):.1%} of the heat"
         return f"strain {last['strain']:.4g}, P_el {pressure:.3g}, Z {last['contacts']:.3g}{doubt}"
 
     @property

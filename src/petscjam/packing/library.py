@@ -30,6 +30,7 @@ from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.progress import Report
+from petscjam.ranges import MOST_RUNS
 from petscjam.storage import check_output, check_type, naming, open_h5, understanding, write_atomically
 from petscjam.values import parsed, parsed_whole
 
@@ -239,7 +240,10 @@ def _planned(
 ) -> list[_Series]:
     pressures = sorted((float(f"{float(p):.12g}") for p in pressures), reverse=True)
     groups = [tuple(pressures)] if recipe.decompress else [(pressure,) for pressure in pressures]
-    seeds = list(seeds)
+    particles, seeds = list(particles), list(seeds)
+    count = len(particles) * len(pressures) * len(seeds)
+    if count > MOST_RUNS:
+        raise InputError(f"prepare: {count} packings; at most {MOST_RUNS:.0g} at once")
     series = [_Series(n, seed, group) for n in particles for group in groups for seed in seeds]
     names: dict[str, tuple[int, float, int]] = {}
     for s in series:
