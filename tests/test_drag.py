@@ -356,6 +356,7 @@ def test_ranks_agree(comm):
     [
         ({"alpha": 0.0}, "alpha: must be from 0.01 to 100, not 0.0"),
         ({"alpha": np.nan}, "alpha: must be from 0.01 to 100, not nan"),
+        ({"alpha": 100.0, "stress": 1e-3, "omegas": [1e-2]}, "equivalent time at omega = 0.01 is 10"),
         ({"stress": -1.0}, "stress: must be from .*, not -1.0"),
         ({"stress": "1"}, "stress: must be from .*, not '1'"),
         ({"omegas": [1.0, 0.0]}, "omega: frequencies must be from .*, not 0"),

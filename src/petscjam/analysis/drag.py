@@ -29,6 +29,8 @@ from petscjam.response.reduced import spectrum
 from petscjam.response.result import frequencies
 from petscjam.response.spectrum import EDGE, Spectrum
 
+LARGEST_LOG = 100 * np.log(10)  # |ln τ|: beyond, squares leave the floating-point numbers
+
 
 @dataclass(frozen=True, eq=False)
 class NonlinearModulus:
@@ -117,7 +119,7 @@ def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
     Raises
     ------
     InputError
-        If a frequency, ``stress`` or ``alpha`` is not > 0 and finite.
+        If a frequency, ``stress`` or ``alpha`` is out of its range, or τ is beyond 10^±100.
     """
     omega = frequencies(omegas)
     check_amplitude(stress, alpha)
@@ -129,7 +131,13 @@ def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
             return y - start - (1 - alpha) / 2 * float(np.logaddexp(0.0, 2 * (y + log_omega)))
 
         reach = -excess(start) / min(1.0, alpha)
-        tau[w] = np.exp(brentq(excess, start, start + reach + np.sign(reach), xtol=1e-14))
+        log_tau = float(brentq(excess, start, start + reach + np.sign(reach), xtol=1e-14))
+        if abs(log_tau) > LARGEST_LOG:
+            raise InputError(
+                f"alpha = {alpha:g}, stress = {stress:g}: the equivalent time at omega = {omega[w]:g} is "
+                f"10^{log_tau / np.log(10):.0f} tau1, outside of 10^±100; take them closer to 1"
+            )
+        tau[w] = np.exp(log_tau)
     return tau
 
 
