@@ -157,7 +157,7 @@ def correlations(
     agree(comm, packing, omegas, damping, prestress, width, bin, rtol)
     omega = frequencies(omegas)
     width, bin = _or_default(packing, width, bin)
-    _Lanes.of(packing, width, bin)  # refuses what makes no sense before anything is solved
+    _Lanes.of(packing, width, bin).require_memory(comm)  # before anything is solved
     model = spectrum(
         packing, (omega.min(), omega.max()), damping=damping, prestress=prestress, rtol=rtol, comm=comm,
         name=name, progress=progress,
@@ -209,7 +209,9 @@ def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: 
     u = np.asarray(values, dtype=float)
     if u.ndim == 0 or u.shape[-1] != len(packing):
         raise InputError(f"values: the last axis must have length {len(packing)}, not {u.shape}")
-    L, shape, lane, column = _Lanes.of(packing, width, bin)
+    lanes = _Lanes.of(packing, width, bin)
+    lanes.require_memory()
+    L, shape, lane, column = lanes
     fields = u.reshape(-1, len(packing))
     counted = np.isfinite(fields).all(0)
     place = (lane * shape[1] + column)[counted]
@@ -310,8 +312,12 @@ class _Lanes(NamedTuple):
         for what, value, most in (("width", width, height), ("bin", bin, L / 2)):
             Range(FINEST * packing.mean_diameter, most).check(f"{what}:", value)
         lanes, bins = int(np.ceil(height / width)), int(np.ceil(L / bin))
-        require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins")
         across = packing.box.fractional(packing.positions)[:, 1 - x]
         along = packing.positions[:, 0] - np.floor(across) * cell[1 - x, 0]
         lane = np.floor(across % 1 * lanes).astype(np.int64) % lanes
         return cls(L, (lanes, bins), lane, np.floor(along / L * bins).astype(np.int64) % bins)
+
+    def require_memory(self, comm: Any = None) -> None:
+        """Refuse more lanes and bins than there is memory for."""
+        lanes, bins = self.shape
+        require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins", comm)

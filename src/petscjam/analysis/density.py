@@ -147,7 +147,7 @@ def density_of_states(
     ranges.MOMENTS.check("moments:", moments)
     ranges.VECTORS.check("vectors:", vectors)
     ranges.SEED.check("seed:", seed)
-    require(24.0 * vectors * moments, f"density: {vectors} × {moments} moments")
+    require(24.0 * vectors * moments, f"density: {vectors} × {moments} moments", comm)
     # which law and strain is immaterial: only K_uu enters
     problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], prestress, comm)
     if problem.negative_modes:

@@ -38,15 +38,16 @@ def scratch_folder() -> Path:
     return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
-def require(size: float, what: str) -> None:
-    """Refuse to ask for ``size`` bytes that this machine does not have.
+def require(size: float, what: str, comm: Any = None) -> None:
+    """Refuse to ask for ``size`` bytes that this machine, or one of ``comm``, does not have; then collective.
 
     Raises
     ------
     InputError
         It names ``what`` the memory is for, how much it takes and how much is free.
     """
-    if size / 2**20 > (free := available_memory()):
+    free = available_memory() if comm is None else min(comm.allgather(available_memory()))
+    if size / 2**20 > free:
         raise InputError(f"{what}: needs about {size / 2**20:.3g} MB, and {free:.0f} MB are free; take less")
 
 
