@@ -8,7 +8,7 @@ import pytest
 import petscjam as pj
 from petscjam.cli import main
 from petscjam.md.quench import quench, snapshot
-from petscjam.md.result import BLOCKS, ROWS, Run, write_run
+from petscjam.md.result import BLOCKS, ROWS, SHAPES, Run, write_run
 from petscjam.md.state import State, random_state
 from petscjam.network import ContactNetwork
 from petscjam.potential import power_law
@@ -17,14 +17,16 @@ from petscjam.storage import atomic_h5
 SETTINGS = {
     "model": "CD", "law": "ContactDamping", "Q": 2.0, "potential": "harmonic-relative", "drag": 0.0,
     "spin_drag": 0.0, "seed": 3, "protocol": "steady", "rate": 1e-3, "strain0": 0.0, "time0": 0.0,
-    "start": "random",
+    "start": "random", "particles": 64, "phi": 0.9, "dt": 0.05, "integrator": "heun", "row_steps": 100,
+    "threads": 1,
 }  # fmt: skip
 
 
 def run_of(state):
     rows = {name: np.zeros(1) for name in ROWS}
     settings = {**SETTINGS, "potential": state.potential_name}
-    return Run(settings, rows, {name: np.zeros(1) for name in BLOCKS}, state)
+    blocks = {name: np.zeros([int(n) if n.isdigit() else 1 for n in SHAPES[name].split()]) for name in BLOCKS}
+    return Run(settings, rows, blocks, state)
 
 
 def written(state, path):
