@@ -239,7 +239,7 @@ def library(tmp_path):
 
 @pytest.mark.parametrize("verb", [
     ["moduli"], ["nonaffine"], ["viscosity"], ["modes", "--count", "2"],
-    ["density", "--moments", "16", "--vectors", "1"], ["correlations"], ["drag", "--stress", "1e-4"],
+    ["density", "--moments", "16", "--vectors", "2"], ["correlations"], ["drag", "--stress", "1e-4"],
 ])  # fmt: skip
 def test_results_are_claimed(library, tmp_path, holder, capfd, verb):
     holder(tmp_path / "r.h5")
