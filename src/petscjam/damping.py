@@ -44,7 +44,7 @@ class DampingLaw:
         for item in fields(self):
             value = getattr(self, item.name)
             if not isinstance(value, bool):
-                item.metadata["range"].check(f"damping: {item.name}", value)
+                ranges.FRICTION.check(f"damping: {item.name}", value)
                 object.__setattr__(self, item.name, float(value))
 
     @property
@@ -79,9 +79,7 @@ class ContactDamping(DampingLaw):
         Take Δu⊥ where the disks touch and let them roll, or at their centres.
     """
 
-    beta: float = field(
-        default=1.0, metadata={"help": "tangential over normal damping", "range": ranges.BETA}
-    )
+    beta: float = field(default=1.0, metadata={"help": "tangential over normal damping"})
     rotations: bool = field(default=True, metadata={"help": "damp at the centres, disks do not roll"})
     name: ClassVar[str] = "contact"
     normal: ClassVar[float] = 1.0
@@ -107,9 +105,7 @@ class StokesDrag(DampingLaw):
         Viscosity ηF ≥ 0 of the fluid, in units of kτ1 (in two dimensions).
     """
 
-    eta_fluid: float = field(
-        default=1.0, metadata={"help": "viscosity of the fluid, in k tau1", "range": ranges.FLUID}
-    )
+    eta_fluid: float = field(default=1.0, metadata={"help": "viscosity of the fluid, in k tau1"})
     name: ClassVar[str] = "stokes"
     body: ClassVar[float] = 1.0
 

@@ -62,8 +62,7 @@ INDEX = Range(0, 1e9, whole=True)
 # Response: the least and the most frequency have squares
 OMEGA = Range(1e-100, 1e100)
 TIME = Range(0, 1e100)
-BETA = Range(0, 1e9)
-FLUID = Range(0, 1e9)
+FRICTION = Range(0, 1e9)  # every number that a damping law takes
 COMPRESSION = Range(0, 0.1)
 MODES = Range(1, 1e6, whole=True)
 MOMENTS = Range(2, 1e6, whole=True)

@@ -409,7 +409,7 @@ def damping(p: Parser) -> None:
                 p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
             else:
                 text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
-                p.add_argument(option(item), dest=item.name, type=Within(numbers, item.metadata["range"]),
+                p.add_argument(option(item), dest=item.name, type=Within(numbers, ranges.FRICTION),
                                metavar="X,…", help=text)  # fmt: skip
 
 
