@@ -43,11 +43,7 @@ def main():
     options = parser.parse_args()
     comm = MPI.COMM_WORLD
     files = sorted(options.folder.glob("*.h5"))
-    mine = [
-        row
-        for file in files[comm.rank :: comm.size]
-        for row in judge(file, options.rtol, options.frequencies)
-    ]
+    mine = [row for file in files[comm.rank :: comm.size] for row in judge(file, options.rtol, options.frequencies)]
     rows = [row for rank in comm.gather(mine) or [] for row in rank]
     if comm.rank:
         return
@@ -64,11 +60,15 @@ def main():
     seen = true > 1e-10
     print(f"most factorisations: {max(row[2] for row in rows)}")
     above = true > bound
-    print(f"{len(true)} direct solves at random frequencies: {above.sum()} above the certificate, "
-          f"by at most {np.max(true - bound, where=above, initial=0):.1e}")  # fmt: skip
+    print(
+        f"{len(true)} direct solves at random frequencies: {above.sum()} above the certificate, "
+        f"by at most {np.max(true - bound, where=above, initial=0):.1e}"
+    )
     loose = bound[seen] / true[seen]
-    print(f"certificate over true error where that is above 1e-10 ({seen.sum()} of them): "
-          f"median {np.median(loose):.2f}, most {loose.max():.1f}")  # fmt: skip
+    print(
+        f"certificate over true error where that is above 1e-10 ({seen.sum()} of them): "
+        f"median {np.median(loose):.2f}, most {loose.max():.1f}"
+    )
 
 
 if __name__ == "__main__":

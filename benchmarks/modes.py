@@ -15,13 +15,13 @@ from direct_sweep import bare_mumps
 from mpi4py import MPI
 
 import petscjam as pj
-from petscjam.damping import LAWS, ContactDamping
-from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.parallel.petsc import petsc
 from petscjam.response.matrices import assembled
 from petscjam.response.modes import lowest_modes
 from petscjam.response.problem import LinearProblem
 from petscjam.response.relaxations import relaxation_modes
+from petscjam.rows.damping import LAWS, ContactDamping
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 
 def main():
@@ -44,9 +44,10 @@ def main():
         m = lowest_modes(packing, options.count, comm=comm)
         bare = np.median(before + bare_mumps(A, f, PETSc, 5))
     times = {
-        "eigensolve": m.performance["eigensolve_seconds"], "count": m.performance["count_seconds"],
+        "eigensolve": m.performance["eigensolve_seconds"],
+        "count": m.performance["count_seconds"],
         "all of lowest_modes": m.performance["seconds"],
-    }  # fmt: skip
+    }
     if options.law:
         start = time.perf_counter()
         relaxation_modes(packing, options.count, damping=LAWS[options.law](), comm=comm)

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import petscjam as pj
-from petscjam import reference
 from petscjam.analysis.drag import equivalent_time
 from petscjam.analysis.scaling import power_law
+from petscjam.reference.linear import linear as reference
 
 EXPONENTS = {"2/3": 2 / 3, "1/2": 1 / 2}
 SIXTEEN = Path(__file__).parents[1] / "tests/data/jambashbulk-N16-P1e-3-0001.txt"
@@ -113,10 +113,7 @@ def _velocity(v, S, A, rest, alpha, tiny, small):
 def print_errors():
     """Print the largest error of each form against the motion in time."""
     spring = np.eye(1), np.array([[[1.0], [0.0]]]), np.ones(1)
-    packings = {
-        "16 disks": (pj.import_packing(SIXTEEN), True),
-        "64 disks": (pj.prepare_packing(64, 1e-4, 1), False),
-    }
+    packings = {"16 disks": (pj.import_packing(SIXTEEN), True), "64 disks": (pj.prepare_packing(64, 1e-4, 1), False)}
     cells, spans, gaps = defaultdict(list), defaultdict(list), []
 
     def true(parts, alpha, omegas, taus):
@@ -181,9 +178,7 @@ def print_slopes(particles, seeds):
             quasistatic.append(power_law(PRESSURES, losses))
         solves[name] = np.mean([g.iterations for g in lowest])
         one, each = critical
-        print(
-            f"| critical, α = {name} | {one} | {alpha / 2:.2f} | {each} | {2 * alpha / (1 + 3 * alpha):.2f} |"
-        )
+        print(f"| critical, α = {name} | {one} | {alpha / 2:.2f} | {each} | {2 * alpha / (1 + 3 * alpha):.2f} |")
         one, each = (f"{fit.exponent:.3f} ± {fit.error:.3f}" for fit in quasistatic)
         print(f"| quasi-static, α = {name} | {one} | −0.50 | {each} | {(1 - 3 * alpha) / 4:.3f} |")
     for name, mean in solves.items():

@@ -35,10 +35,13 @@ def main():
             made = [packing.certificate for packing in packings]
             forces = np.mean([packing.provenance["evaluations"] for packing in packings])
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            print(f"{n:9d}{pressure:9.0e}{method:>9}{np.mean(seconds):9.2f}{max(seconds):9.2f}{forces:9.0f}"
-                  f"{sum(c.proved for c in made):6d}/{seeds:2d}{max(c.max_force for c in made):9.1e}"
-                  f"{max(c.pressure_error for c in made):9.1e}{min(c.lowest_eigenvalue for c in made):9.1e}"
-                  f"{peak:9.0f}", flush=True)  # fmt: skip
+            print(
+                f"{n:9d}{pressure:9.0e}{method:>9}{np.mean(seconds):9.2f}{max(seconds):9.2f}{forces:9.0f}"
+                f"{sum(c.proved for c in made):6d}/{seeds:2d}{max(c.max_force for c in made):9.1e}"
+                f"{max(c.pressure_error for c in made):9.1e}{min(c.lowest_eigenvalue for c in made):9.1e}"
+                f"{peak:9.0f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -45,8 +45,7 @@ def work(kind, mode):
     comm.Barrier()
     start = time.perf_counter()
     made = [
-        pj.spectrum(p, comm=comm if within else MPI.COMM_SELF, displacements=False).factorisations
-        for p in packings
+        pj.spectrum(p, comm=comm if within else MPI.COMM_SELF, displacements=False).factorisations for p in packings
     ]
     seconds = comm.allreduce(time.perf_counter() - start, MPI.MAX)
     if comm.rank == 0:
@@ -69,8 +68,10 @@ def measure(ranks):
                 first = found[kind, mode, ranks[0]]
                 ideal = ranks[0] / count if mode == STRONG else 1.0
                 efficiency = first * ideal / best["seconds"]
-                print(f"{kind:12} {mode:7} {count} rank(s) {best['seconds']:7.2f} s   "
-                      f"efficiency {efficiency:.2f}   factorisations {best['factorisations']}")  # fmt: skip
+                print(
+                    f"{kind:12} {mode:7} {count} rank(s) {best['seconds']:7.2f} s   "
+                    f"efficiency {efficiency:.2f}   factorisations {best['factorisations']}"
+                )
     return found
 
 
@@ -85,9 +86,7 @@ def draw(found, ranks, path):
             axes.plot(ranks, times, f"-{marker}", label=kind)
         ideal = [ranks[0] / count if mode == STRONG else 1.0 for count in ranks]
         axes.plot(ranks, ideal, "--", color="0.5", label="ideal")
-        axes.set(
-            xlabel="ranks", ylabel="time, relative", title=f"{mode} scaling", xticks=ranks, ylim=(0, None)
-        )
+        axes.set(xlabel="ranks", ylabel="time, relative", title=f"{mode} scaling", xticks=ranks, ylim=(0, None))
         axes.legend(frameon=False)
     figure.savefig(path, dpi=150)
 

@@ -137,10 +137,13 @@ def compare(n, steps, rounds):
         program, option, cores = way
         other = (lammps, skin, 1) if cores == 1 else (program, option, 1)
         ratios = np.divide(runs, speeds[other])
-        print(f"{program.__name__:8s} {option:6s} {cores} cores {np.median(runs):6.1f}  of "
-              f"{' '.join(f'{speed:5.1f}' for speed in runs)}  {uses[way].min():4.0f} %  "
-              f"{np.median(ratios):5.2f} × {other[0].__name__} {other[1]} on 1 "
-              f"({ratios.min():.2f} to {ratios.max():.2f})", flush=True)  # fmt: skip
+        print(
+            f"{program.__name__:8s} {option:6s} {cores} cores {np.median(runs):6.1f}  of "
+            f"{' '.join(f'{speed:5.1f}' for speed in runs)}  {uses[way].min():4.0f} %  "
+            f"{np.median(ratios):5.2f} × {other[0].__name__} {other[1]} on 1 "
+            f"({ratios.min():.2f} to {ratios.max():.2f})",
+            flush=True,
+        )
 
 
 def found_here(name, seed, strain):
@@ -175,9 +178,12 @@ def physics(seeds, strain):
         for what, a, b, others in zip(("P_el", "Sigma", "Z"), here.T, there.T, seen, strict=True):
             errors = np.std([a, b], axis=1, ddof=1) / seeds**0.5
             apart = (a.mean() - b.mean()) / np.hypot(*errors)
-            print(f"{name:6s} {what:5s}  petscjam {a.mean():.5f} ± {errors[0]:.5f}  LAMMPS {b.mean():.5f} ± "
-                  f"{errors[1]:.5f}  ratio {a.mean() / b.mean():.3f}, {apart:+.1f} errors apart  (others: "
-                  f"{others})", flush=True)  # fmt: skip
+            print(
+                f"{name:6s} {what:5s}  petscjam {a.mean():.5f} ± {errors[0]:.5f}  LAMMPS {b.mean():.5f} ± "
+                f"{errors[1]:.5f}  ratio {a.mean() / b.mean():.3f}, {apart:+.1f} errors apart  (others: "
+                f"{others})",
+                flush=True,
+            )
 
 
 def main():
@@ -193,11 +199,7 @@ def main():
     if options.work:
         integrator, threads, steps = options.work
         return work(integrator, int(threads), int(steps))
-    print(
-        *install(),
-        *(f"{package}=={version(package)}" for package in ("petscjam", "numba", "numpy")),
-        flush=True,
-    )
+    print(*install(), *(f"{package}=={version(package)}" for package in ("petscjam", "numba", "numpy")), flush=True)
     if options.physics:
         return physics(options.seeds, options.strain)
     for case in options.cases:

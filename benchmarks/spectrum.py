@@ -16,11 +16,11 @@ from direct_sweep import bare_mumps, superlu
 from mpi4py import MPI
 
 import petscjam as pj
-from petscjam.damping import LAWS
-from petscjam.kinematics import SIMPLE_SHEAR
 from petscjam.parallel.petsc import petsc
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.damping import LAWS
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 
 def seconds(work, *arguments, **options):
@@ -64,8 +64,10 @@ def main():
     if comm.rank == 0:
         print(f"{len(packing)} disks, {unknowns} unknowns, {law}, prestress {prestress}, {comm.size} rank(s)")
         print(f"bare MUMPS, a matrix        {bare:8.3f} s")
-        print(f"spectrum, {s.factorisations:2d} factorisations {whole:8.2f} s   "
-              f"{whole / (s.factorisations * bare):.2f} × factorisations × bare MUMPS")  # fmt: skip
+        print(
+            f"spectrum, {s.factorisations:2d} factorisations {whole:8.2f} s   "
+            f"{whole / (s.factorisations * bare):.2f} × factorisations × bare MUMPS"
+        )
         grid = np.geomspace(1e-8, 1e2, 1001)
         print(f"certificate over 1e-8…1e2   {s.error(grid).max():8.1e}")
         if options.direct:

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 import petscjam as pj
-from petscjam.errors import SolverError
+from petscjam.base.errors import SolverError
 from petscjam.md import kernels
 from petscjam.md.model import INTEGRATORS, MODELS, Model, stable_step
 from petscjam.md.simulation import Simulation
@@ -54,23 +54,27 @@ def stability(name, Q, phi, rate, strain):
         bound = stable_step(integrator, *Simulation(state, model).fastest())
         heats = (missed(state, model, integrator, share * bound) > 0.1 for share in TRIED)
         share = next((tried - 0.1 for tried, hot in zip(TRIED, heats, strict=False) if hot), np.inf)
-        print(f"{name:6s} Q = {Q:g}, φ = {phi:g}, γ̇ = {rate:g}, {integrator:6s}: bound {bound / Q:.3f} Q, "
-              f"stable to {share:.1f} times that", flush=True)  # fmt: skip
+        print(
+            f"{name:6s} Q = {Q:g}, φ = {phi:g}, γ̇ = {rate:g}, {integrator:6s}: bound {bound / Q:.3f} Q, "
+            f"stable to {share:.1f} times that",
+            flush=True,
+        )
 
 
 def budgets(name, Q):
     """Print the largest share of the heat that is missed with each integrator's default step."""
     for integrator in INTEGRATORS:
         shares = {
-            (phi, rate): pj.md.shear(
-                name, 256, phi, Q, rate=rate, strain=strain, integrator=integrator
-            ).missed
+            (phi, rate): pj.md.shear(name, 256, phi, Q, rate=rate, strain=strain, integrator=integrator).missed
             for phi, (rate, strain) in product(PHIS, zip(RATES, STRAINS, strict=True))
         }
         worst = max(shares, key=shares.get)
         dt = Model(MODELS[name], Q).step(None, integrator)
-        print(f"{name:6s} Q = {Q:<4g} {integrator:6s} dt = {dt:.4f}: {100 * shares[worst]:.2f} % missed "
-              f"(φ = {worst[0]:g}, γ̇ = {worst[1]:g})", flush=True)  # fmt: skip
+        print(
+            f"{name:6s} Q = {Q:<4g} {integrator:6s} dt = {dt:.4f}: {100 * shares[worst]:.2f} % missed "
+            f"(φ = {worst[0]:g}, γ̇ = {worst[1]:g})",
+            flush=True,
+        )
 
 
 def main():

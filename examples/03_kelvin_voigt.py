@@ -15,11 +15,10 @@ packing = comm.bcast(pj.prepare_packing(n=128, pressure=1e-3, seed=1) if comm.ra
 omega = np.geomspace(1e-4, 1e2, 7)
 
 for prestress in (False, True):
-    g = pj.complex_modulus(
-        packing, omega, damping=pj.ContactDamping(beta=0.0), prestress=prestress, comm=comm
-    )
+    g = pj.complex_modulus(packing, omega, damping=pj.ContactDamping(beta=0.0), prestress=prestress, comm=comm)
     error = np.abs(g.values / (g.G0 * (1 + 1j * omega)) - 1).max()
     if comm.rank == 0:
-        print(f"{'with' if prestress else 'without'} pre-stress: G0 = {g.G0:.6f}, "
-              f"farthest from Kelvin–Voigt {error:.1e}")  # fmt: skip
+        print(
+            f"{'with' if prestress else 'without'} pre-stress: G0 = {g.G0:.6f}, farthest from Kelvin–Voigt {error:.1e}"
+        )
     assert prestress or error < 1e-9

@@ -18,9 +18,7 @@ solved = pj.complex_modulus(packing, check, damping=pj.ContactDamping(beta=1.0),
 true = abs(s(check) / solved.values - 1)
 
 if comm.rank == 0:
-    print(
-        f"{s.factorisations} factorisations, {len(omega)} frequencies, |G*| within {s.error(omega).max():.0e}"
-    )
+    print(f"{s.factorisations} factorisations, {len(omega)} frequencies, |G*| within {s.error(omega).max():.0e}")
     for w, error, bound in zip(check, true, s.error(check), strict=True):
         print(f"ω = {w:8.1e}   error {error:.0e}   bound {bound:.0e}")
     times, weights = s.relaxation()

@@ -43,7 +43,7 @@ NUMPYS = re.compile(rb"np\.(float|complex|u?int|str_|True_|False_)")
 @pytest.fixture(autouse=True, scope="session")
 def no_text_in_numpys_words(tmp_path_factory):
     """See that no message and no file has np.float64(1.4) for 1.4: repr of NumPy 2, also inside of tuples."""
-    from petscjam.errors import InputError, SolverError
+    from petscjam.base.errors import InputError, SolverError
 
     def checked(error, message):
         Exception.__init__(error, message)

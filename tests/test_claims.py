@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import petscjam as pj
+from petscjam.base.errors import InputError
 from petscjam.cli import main
-from petscjam.errors import InputError
 from petscjam.parallel.claims import claimed, made_folder
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -33,10 +33,13 @@ def holder(environment):
     def hold(path):
         started.append(
             subprocess.Popen(
-                [sys.executable, "-c", HOLDER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                env=environment, text=True,
+                [sys.executable, "-c", HOLDER, str(path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=environment,
+                text=True,
             )
-        )  # fmt: skip
+        )
         assert started[-1].stdout.readline() == "ready\n"
         return started[-1]
 
@@ -80,9 +83,7 @@ with claimed(sys.argv[1] + "/a"):
         os.wait()
         print(os.listdir(sys.argv[1]))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code, tmp_path], env=environment, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], env=environment, capture_output=True, text=True)
     assert done.stdout == "['.a.lock']\n", done.stderr
 
 
@@ -165,7 +166,7 @@ def test_claims_that_are_no_files(tmp_path, make):
 
 RACE = """
 import sys
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.parallel.claims import claimed
 for line in sys.stdin:
     try:
@@ -181,10 +182,16 @@ for line in sys.stdin:
 def test_of_four_at_once_one_has_it(tmp_path, environment, holder, left):
     """Whether there is nothing, or an empty claim, or one that counts no more."""
     runs = [
-        subprocess.Popen([sys.executable, "-c", RACE], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                         env=environment, text=True, bufsize=1)
+        subprocess.Popen(
+            [sys.executable, "-c", RACE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            text=True,
+            bufsize=1,
+        )
         for _ in range(4)
-    ]  # fmt: skip
+    ]
     if left == "killed":
         other = holder(tmp_path / "old")
         other.kill()
@@ -237,10 +244,18 @@ def library(tmp_path):
     return tmp_path / "lib"
 
 
-@pytest.mark.parametrize("verb", [
-    ["moduli"], ["nonaffine"], ["viscosity"], ["modes", "--count", "2"],
-    ["density", "--moments", "16", "--vectors", "2"], ["correlations"], ["drag", "--stress", "1e-4"],
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["moduli"],
+        ["nonaffine"],
+        ["viscosity"],
+        ["modes", "--count", "2"],
+        ["density", "--moments", "16", "--vectors", "2"],
+        ["correlations"],
+        ["drag", "--stress", "1e-4"],
+    ],
+)
 def test_results_are_claimed(library, tmp_path, holder, capfd, verb):
     holder(tmp_path / "r.h5")
     for options in [], ["--resume"], ["--overwrite"]:

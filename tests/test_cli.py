@@ -10,8 +10,8 @@ import pytest
 from conftest import names
 
 import petscjam as pj
+from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-from petscjam.storage import atomic_h5
 
 DATA = Path(__file__).parent / "data"
 SIXTEEN = DATA / "jambashbulk-N16-P1e-3-0001.txt"
@@ -110,9 +110,7 @@ def test_resume_refuses_other_settings(packing, tmp_path, capfd):
     out = tmp_path / "g.h5"
     main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
     capfd.readouterr()
-    assert "beta=0.5" in refused(
-        capfd, "moduli", packing, "--omega", "1,2", "--beta", 0.5, "-o", out, "--resume"
-    )
+    assert "beta=0.5" in refused(capfd, "moduli", packing, "--omega", "1,2", "--beta", 0.5, "-o", out, "--resume")
     assert "omega" in refused(capfd, "moduli", packing, "--omega", "1,3", "-o", out, "--resume")
 
 
@@ -139,16 +137,25 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["--beta", "-1"], "-1"), (["--damping", "stokes", "--eta-fluid", "-2"], "-2"),
-        (["--omega", "0:1:5"], "--omega: 0 is not"), (["--omega=-1:1:5"], "-1"),
-        (["--omega", "-1:1:5"], "-1"), (["--omega", "1:0.1:5"], "1:0.1:5"),
-        (["--omega", "1:10:0"], "1:10:0"), (["--omega", "fast"], "fast"), (["--omega", ""], "''"),
-        (["--bta", "1"], "--beta"), (["--eta-fluid", "1"], "--eta-fluid"), (["--beta", "much"], "much"),
-        (["--damping", "stokes", "--beta", "1"], "--beta"), (["--damping", "glue"], "glue"),
-        (["--strain", "torsion"], "torsion"), (["--fields", "1e6"], "1e+06"),
+        (["--beta", "-1"], "-1"),
+        (["--damping", "stokes", "--eta-fluid", "-2"], "-2"),
+        (["--omega", "0:1:5"], "--omega: 0 is not"),
+        (["--omega=-1:1:5"], "-1"),
+        (["--omega", "-1:1:5"], "-1"),
+        (["--omega", "1:0.1:5"], "1:0.1:5"),
+        (["--omega", "1:10:0"], "1:10:0"),
+        (["--omega", "fast"], "fast"),
+        (["--omega", ""], "''"),
+        (["--bta", "1"], "--beta"),
+        (["--eta-fluid", "1"], "--eta-fluid"),
+        (["--beta", "much"], "much"),
+        (["--damping", "stokes", "--beta", "1"], "--beta"),
+        (["--damping", "glue"], "glue"),
+        (["--strain", "torsion"], "torsion"),
+        (["--fields", "1e6"], "1e+06"),
         (["--omega", "1:10:99999999999"], "99999999999"),
     ],
-)  # fmt: skip
+)
 def test_bad_options(packing, tmp_path, capfd, options, named):
     capfd.readouterr()
     assert names(refused(capfd, "moduli", packing, "-o", tmp_path / "g.h5", *options), named)
@@ -211,9 +218,7 @@ def test_disk_full(packing, tmp_path, environment):
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2);"
         f"sys.exit(main(['moduli', {str(packing)!r}, '--omega', '1,2', '-o', {str(out)!r}, '--overwrite']))"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment
-    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment)
     assert run.returncode == 2, run.stderr
     assert run.stderr.splitlines()[-1].startswith(f"petscjam: {out}: ")
     assert out.read_bytes() == before
@@ -221,7 +226,7 @@ def test_disk_full(packing, tmp_path, environment):
 
 
 def test_ranges_share_their_points():
-    from petscjam.values import points
+    from petscjam.base.arguments import points
 
     assert set(points("1e-2:1e-3:4")) < set(points("1e-1:1e-3:7"))
 
@@ -269,9 +274,12 @@ def test_info_says_what_was_certified(tmp_path, capsys):
     main(["info", str(out)])
     text = capsys.readouterr().out
     for said in (
-        "proved minimum     yes", "zero modes         0", f"{certificate.contacts} in the backbone",
-        f"{certificate.lowest_eigenvalue:.6g} ±", "UNSTABLE against shear",
-    ):  # fmt: skip
+        "proved minimum     yes",
+        "zero modes         0",
+        f"{certificate.contacts} in the backbone",
+        f"{certificate.lowest_eigenvalue:.6g} ±",
+        "UNSTABLE against shear",
+    ):
         assert said in text, said
 
 
@@ -279,9 +287,7 @@ def test_info_shows_the_measured_pressure_whatever_the_origin_says(packing, tmp_
     """A packing relaxed at constant volume has no target; a foreign file may say anything."""
     p = pj.relax_packing(pj.Packing.read(packing))
     said = {**p.provenance, "checksum": "fake", "proved minimum": "no", "disks": "1\npressure 7"}
-    pj.Packing(p.positions, p.radii, p.box, certificate=p.certificate, provenance=said).write(
-        tmp_path / "relaxed.h5"
-    )
+    pj.Packing(p.positions, p.radii, p.box, certificate=p.certificate, provenance=said).write(tmp_path / "relaxed.h5")
     capsys.readouterr()
     main(["info", str(tmp_path / "relaxed.h5")])
     measured, made_with = capsys.readouterr().out.split("\nmade with\n")
@@ -329,11 +335,13 @@ def test_an_imported_packing_is_relaxed_on_request(packing, tmp_path):
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["--pressure", "1e-3"], "--relax"), (["--shear-stabilised"], "--relax"),
-        (["--relax", "--pressure", "-1"], "-1"), (["--potential", "hertzian"], "hertzian"),
+        (["--pressure", "1e-3"], "--relax"),
+        (["--shear-stabilised"], "--relax"),
+        (["--relax", "--pressure", "-1"], "-1"),
+        (["--potential", "hertzian"], "hertzian"),
         (["--potential", "glue"], "glue"),
     ],
-)  # fmt: skip
+)
 def test_import_refuses(tmp_path, capfd, options, named):
     assert names(refused(capfd, "import", SIXTEEN, *options, "-o", tmp_path / "p.h5"), named)
     assert not (tmp_path / "p.h5").exists()
@@ -351,9 +359,8 @@ def test_petsc_options_reach_petsc(packing, tmp_path, environment):
     out = tmp_path / "g.h5"
     arguments = ["moduli", packing, "--omega", "1", "-o", out, "--", "-log_view"]
     run = subprocess.run(
-        [sys.executable, "-m", "petscjam", *arguments],
-        capture_output=True, text=True, timeout=120, env=environment,
-    )  # fmt: skip
+        [sys.executable, "-m", "petscjam", *arguments], capture_output=True, text=True, timeout=120, env=environment
+    )
     assert run.returncode == 0, run.stderr
     assert "petscjam: factor" in run.stdout
 
@@ -444,9 +451,7 @@ def test_an_input_is_never_the_output(packing, tmp_path, capfd):
 
 
 @pytest.mark.parametrize("output", ["none/g.h5", "."])
-def test_an_output_that_cannot_be_written_is_refused_before_the_work(
-    packing, tmp_path, capfd, monkeypatch, output
-):
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(packing, tmp_path, capfd, monkeypatch, output):
     from petscjam.response.problem import LinearProblem
 
     monkeypatch.setattr(LinearProblem, "__init__", lambda *a, **k: pytest.fail("worked in vain"))
@@ -464,9 +469,7 @@ def test_prepare_does_not_resume_another_packing(tmp_path, capfd):
     out = tmp_path / "p.h5"
     main(["prepare", "--particles", "16", "--pressure", "1e-2", "-o", str(out)])
     capfd.readouterr()
-    assert "pressure = 0.01" in refused(
-        capfd, "prepare", "--particles", 16, "--pressure", 2e-2, "--resume", "-o", out
-    )
+    assert "pressure = 0.01" in refused(capfd, "prepare", "--particles", 16, "--pressure", 2e-2, "--resume", "-o", out)
 
 
 def test_results_among_the_packings_are_not_packings(packing, tmp_path):
@@ -533,9 +536,8 @@ def test_another_solver_behind_the_prefix(packing, tmp_path, environment):
 def test_a_petsc_option_that_nobody_reads_is_named(packing, tmp_path, environment):
     arguments = ["moduli", packing, "--omega", "1", "-o", tmp_path / "g.h5", "--", "-petscjam_nonsense", "1"]
     run = subprocess.run(
-        [sys.executable, "-m", "petscjam", *arguments],
-        capture_output=True, text=True, env=environment, timeout=120,
-    )  # fmt: skip
+        [sys.executable, "-m", "petscjam", *arguments], capture_output=True, text=True, env=environment, timeout=120
+    )
     assert "-petscjam_nonsense" in run.stdout + run.stderr
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam import reference
 from petscjam.analysis.correlations import (
     correlation_length,
     correlations,
@@ -18,6 +17,7 @@ from petscjam.analysis.correlations import (
     zero_crossing,
 )
 from petscjam.plots.correlations import plot_correlations
+from petscjam.reference.linear import linear as reference
 
 DATA = Path(__file__).parent / "data"
 CELLS = {
@@ -306,9 +306,7 @@ def test_every_number_of_ranks_gives_the_same(comm):
     from mpi4py import MPI
 
     omega = [1e-10, 1e-3, 10.0]
-    together, alone = (
-        correlations(jammed(), omega, damping=pj.StokesDrag(), comm=c) for c in (comm, MPI.COMM_SELF)
-    )
+    together, alone = (correlations(jammed(), omega, damping=pj.StokesDrag(), comm=c) for c in (comm, MPI.COMM_SELF))
     np.testing.assert_allclose(together.real, alone.real, atol=1e-8)
     np.testing.assert_allclose(together.imaginary, alone.imaginary, atol=1e-8)
     for item in fields(together):
@@ -328,14 +326,18 @@ def test_ranks_that_disagree_are_refused(comm):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"width": 0.0}, "width: .* not 0.0"), ({"width": -1.0}, "width: .* not -1.0"),
-        ({"width": 100.0}, "width: .* not 100.0"), ({"width": "broad"}, "width: .* not 'broad'"),
-        ({"bin": 0.0}, "bin: .* not 0.0"), ({"bin": np.nan}, "bin: .* not nan"),
-        ({"bin": 6.0}, "bin: .* not 6.0"), ({"omegas": [0.0]}, "omega: .* not 0"),
+        ({"width": 0.0}, "width: .* not 0.0"),
+        ({"width": -1.0}, "width: .* not -1.0"),
+        ({"width": 100.0}, "width: .* not 100.0"),
+        ({"width": "broad"}, "width: .* not 'broad'"),
+        ({"bin": 0.0}, "bin: .* not 0.0"),
+        ({"bin": np.nan}, "bin: .* not nan"),
+        ({"bin": 6.0}, "bin: .* not 6.0"),
+        ({"omegas": [0.0]}, "omega: .* not 0"),
         ({"omegas": [1.0, -2.0]}, "omega: .* not -2"),
         ({"omegas": []}, "omega: the range is empty"),
     ],
-)  # fmt: skip
+)
 def test_what_makes_no_sense_is_refused(settings, message):
     with pytest.raises(pj.InputError, match=message):
         correlations(jammed(), **{"omegas": [1.0], **settings})

@@ -11,11 +11,11 @@ import pytest
 from conftest import START
 
 import petscjam as pj
+from petscjam.base.errors import InputError
+from petscjam.base.files import open_h5
 from petscjam.cli import main
-from petscjam.errors import InputError
 from petscjam.io.results import append_result, read_results
-from petscjam.packing.library import INDEX, RECIPE
-from petscjam.storage import open_h5
+from petscjam.preparation.library import INDEX, RECIPE
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -36,7 +36,7 @@ KINDS = ["packing", "spectrum", "rebuilt", "run", *VERBS]
 READER = """
 import pickle, sys
 from dataclasses import fields, is_dataclass
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.io.results import is_result, read_results
 from petscjam.io.importers import import_packing
 from petscjam.md.result import is_run, read
@@ -79,9 +79,13 @@ def read_all():
     """Return what a child finds in each file of a list."""
     environment = {**START, "PYTHONHASHSEED": "0"}
     child = subprocess.Popen(
-        [sys.executable, "-c", READER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+        [sys.executable, "-c", READER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        bufsize=1,
         env=environment,
-    )  # fmt: skip
+    )
 
     def read(paths):
         found = []
@@ -120,10 +124,7 @@ def test_flipped_bits(files, tmp_path, read_all, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_cut_files(files, tmp_path, read_all, kind):
     data = files[kind].read_bytes()
-    lengths = [
-        *np.linspace(0, len(data), 20, endpoint=False).astype(int),
-        *range(len(data) - 60, len(data), 3),
-    ]
+    lengths = [*np.linspace(0, len(data), 20, endpoint=False).astype(int), *range(len(data) - 60, len(data), 3)]
     copies = [files[kind]]
     for length in lengths:
         copies.append(tmp_path / f"{length}.h5")
@@ -179,9 +180,17 @@ def test_what_is_well_compressed_is_read(tmp_path):
 # Wrong types, and what is missing
 
 WRONG = {
-    "gone": None, "text": "x", "nan": np.nan, "negative": -1, "huge": 2**62, "empty": np.empty(0),
-    "cube": np.ones((2, 3, 4)), "bytes": np.void(b"\0\1"), "complex": 1j, "yes": True,
-}  # fmt: skip
+    "gone": None,
+    "text": "x",
+    "nan": np.nan,
+    "negative": -1,
+    "huge": 2**62,
+    "empty": np.empty(0),
+    "cube": np.ones((2, 3, 4)),
+    "bytes": np.void(b"\0\1"),
+    "complex": 1j,
+    "yes": True,
+}
 
 
 def places(path):

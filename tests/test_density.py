@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import quad
 
 import petscjam as pj
-from petscjam import reference
 from petscjam.analysis import density
 from petscjam.analysis.density import DensityOfStates, density_of_states, highest, plateau
 from petscjam.plots.density import plot_density
+from petscjam.reference.linear import linear as reference
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 any_prestress = pytest.mark.parametrize("prestress", [True, False])
@@ -77,9 +77,14 @@ def made_of(modes, edge, moments):
     found = np.tile(exact, (2, 1))
     grid = density.frequency_grid(edge, moments)
     return DensityOfStates(
-        **density.series(found, edge, grid), moments=found, edge=edge, modes=len(modes), negative_modes=0,
-        prestress=True, packing={"pressure": 1e-3},
-    )  # fmt: skip
+        **density.series(found, edge, grid),
+        moments=found,
+        edge=edge,
+        modes=len(modes),
+        negative_modes=0,
+        prestress=True,
+        packing={"pressure": 1e-3},
+    )
 
 
 # ---- dense eigenvalues
@@ -220,9 +225,7 @@ def test_the_height_has_the_error_of_its_vectors():
 @any_prestress
 def test_the_density_does_not_depend_on_the_ranks(comm, prestress):
     together = density_of_states(packing(), moments=100, vectors=3, prestress=prestress, comm=comm)
-    alone = density_of_states(
-        packing(), moments=100, vectors=3, prestress=prestress, comm=comm.Split(comm.rank)
-    )
+    alone = density_of_states(packing(), moments=100, vectors=3, prestress=prestress, comm=comm.Split(comm.rank))
     assert together.moments == pytest.approx(alone.moments, abs=1e-12)
     assert together.density == pytest.approx(alone.density, abs=1e-10)
     assert together.error == pytest.approx(alone.error, abs=1e-10)

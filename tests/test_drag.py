@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import petscjam as pj
-from petscjam import reference
 from petscjam.analysis.contact_drag import contact_times, self_consistent_drag
 from petscjam.analysis.drag import equivalent_drag, equivalent_time, line_factor
 from petscjam.plots.drag import plot_drag
+from petscjam.reference.linear import linear as reference
 
 DATA = Path(__file__).parent / "data"
 OMEGA = np.array([1e-3, 1e-1, 10.0])
@@ -196,8 +196,7 @@ def test_every_contact_dissipates_what_the_nonlinear_law_would(strain, alpha):
     result = per_contact(alpha, strain=strain)
     found = reference.contacts(sixteen().positions, sixteen().radii, sixteen().box.cell)
     network = pj.ContactNetwork.of(sixteen())
-    rows = {(c.i, c.j, round(c.rx, 6), round(c.ry, 6)): reference.rows(c, sixteen().radii, strain, 1)
-            for c in found}  # fmt: skip
+    rows = {(c.i, c.j, round(c.rx, 6), round(c.ry, 6)): reference.rows(c, sixteen().radii, strain, 1) for c in found}
     rows |= {(j, i, -x, -y): pair for (i, j, x, y), pair in rows.items()}
     ordered = [
         rows[i, j, round(x, 6), round(y, 6)]
@@ -345,9 +344,7 @@ def test_ranks_agree(comm):
     found = self_consistent_drag(sixteen(), omega, 0.1, 0.5, rtol=1e-10, comm=comm)
     assert found.values == pytest.approx(alone.values, rel=1e-9)
     assert found.contact_tau == pytest.approx(alone.contact_tau, rel=1e-7)
-    everywhere = comm.allgather(
-        (found.values.tobytes(), found.contact_tau.tobytes(), found.iterations.tobytes())
-    )
+    everywhere = comm.allgather((found.values.tobytes(), found.contact_tau.tobytes(), found.iterations.tobytes()))
     assert len(set(everywhere)) == 1
 
 

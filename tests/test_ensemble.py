@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.base.errors import InputError
+from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-from petscjam.ensemble import average, sweep
-from petscjam.errors import InputError
+from petscjam.io.jobs import average, sweep
 from petscjam.parallel.comm import on_root
-from petscjam.storage import atomic_h5
 
 OMEGA = np.geomspace(1e-4, 10, 6)
 ROUNDING = 1e-10  # of the direct solves that are compared with
@@ -115,20 +115,14 @@ def test_overwrite_replaces_all_of_an_older_file(packings, tmp_path, comm):
 
 def test_resume_with_more_laws_makes_no_result_twice(packings, tmp_path, comm):
     run(packings[:1], tmp_path / "g.h5", comm)
-    made, _ = run(
-        packings[:1], tmp_path / "g.h5", comm, laws=[pj.ContactDamping(), pj.StokesDrag()], resume=True
-    )
+    made, _ = run(packings[:1], tmp_path / "g.h5", comm, laws=[pj.ContactDamping(), pj.StokesDrag()], resume=True)
     assert made == 1
     assert len(pj.read_moduli(tmp_path / "g.h5")) == 2
 
 
 @pytest.mark.parametrize(
     ("first", "then", "named"),
-    [
-        ({"rtol": 1e-2}, {"rtol": 1e-8}, "rtol"),
-        ({}, {"direct": True}, "reduced"),
-        ({"direct": True}, {}, "solve"),
-    ],
+    [({"rtol": 1e-2}, {"rtol": 1e-8}, "rtol"), ({}, {"direct": True}, "reduced"), ({"direct": True}, {}, "solve")],
 )
 def test_resume_refuses_what_was_found_in_another_way(packings, tmp_path, comm, first, then, named):
     run(packings[:1], tmp_path / "g.h5", comm, **first)
@@ -180,7 +174,10 @@ def test_direct_moduli_of_several_laws(packings, tmp_path, comm):
 
 @pytest.fixture(scope="module")
 def moduli(packings):
-    return {file.stem: pj.spectrum(pj.Packing.read(file), (1e-4, 10.0)).sample(OMEGA) for file in packings}
+    return {
+        file.stem: pj.ComplexModulus.sampled(pj.spectrum(pj.Packing.read(file), (1e-4, 10.0)), OMEGA)
+        for file in packings
+    }
 
 
 def test_mean_scatter_and_error(moduli):
@@ -235,7 +232,9 @@ def test_an_average_is_exported(packings, moduli, tmp_path):
 
 
 def test_different_laws_do_not_average(moduli, packings):
-    other = pj.spectrum(pj.Packing.read(packings[0]), (1e-4, 10.0), damping=pj.StokesDrag()).sample(OMEGA)
+    other = pj.ComplexModulus.sampled(
+        pj.spectrum(pj.Packing.read(packings[0]), (1e-4, 10.0), damping=pj.StokesDrag()), OMEGA
+    )
     with pytest.raises(InputError, match="different laws"):
         average({**moduli, "other": other})
 
@@ -267,8 +266,7 @@ def test_a_family_needs_far_fewer_factorisations_than_its_members(family):
     packing, prestress, models = family
     betas = np.geomspace(1e-5, 1e2, 8)
     alone = sum(
-        pj.spectrum(packing, damping=pj.ContactDamping(beta), prestress=prestress).factorisations
-        for beta in betas
+        pj.spectrum(packing, damping=pj.ContactDamping(beta), prestress=prestress).factorisations for beta in betas
     )
     assert models.factorisations < alone / 2
 
@@ -350,28 +348,15 @@ def test_a_sweep_over_beta_is_one_model(packings, tmp_path):
     results = list(pj.read_moduli(output).values())
     assert len(results) == 5
     assert len({tuple(g.model.nodes) for g in results}) == 1
-    assert {g.damping for g in results} == {
-        str(pj.ContactDamping(beta)) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)
-    }
+    assert {g.damping for g in results} == {str(pj.ContactDamping(beta)) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)}
 
 
 def test_all_viscosities_of_the_fluid_are_one_model(packings, tmp_path):
     output = tmp_path / "g.h5"
-    arguments = [
-        "moduli",
-        str(packings[0]),
-        "--damping",
-        "stokes",
-        "--eta-fluid",
-        "0,1,10",
-        "-o",
-        str(output),
-    ]
+    arguments = ["moduli", str(packings[0]), "--damping", "stokes", "--eta-fluid", "0,1,10", "-o", str(output)]
     assert main(arguments) == 0
     results = list(pj.read_moduli(output).values())
     assert len({tuple(g.model.nodes) for g in results}) == 1
     for g in results:
-        exact = pj.complex_modulus(
-            pj.Packing.read(Path(packings[0])), g.omega[::20], damping=g.model.damping
-        ).values
+        exact = pj.complex_modulus(pj.Packing.read(Path(packings[0])), g.omega[::20], damping=g.model.damping).values
         assert (abs(g.values[::20] / exact - 1) <= g.errors[::20] + ROUNDING).all()

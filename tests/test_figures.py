@@ -10,8 +10,8 @@ from conftest import names
 
 import petscjam as pj
 from petscjam.analysis.scaling import Curve, collapse, power_law
+from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.errors import InputError, SolverError
 from petscjam.figures import FIGURES, make_figure, presets
 from petscjam.figures.modes import WITHIN, enough
 from petscjam.figures.panels import draw_mean, guide
@@ -32,13 +32,18 @@ TINY = {
     "bt5": COMMON,
     "bt6": {**COMMON, **OMEGA, "fluid_pressure": 0.01, "fluids": "1e-2:1e2:3"},
     "bt7": {
-        **COMMON, **OMEGA, "sizes": [64, 128], "contact_pressure": "1e-2:1e-2:1",
-        "contact_omega": "1e-3:1e1:2", "shown_pressure": 1e-2, "widths": [0.5],
+        **COMMON,
+        **OMEGA,
+        "sizes": [64, 128],
+        "contact_pressure": "1e-2:1e-2:1",
+        "contact_omega": "1e-3:1e1:2",
+        "shown_pressure": 1e-2,
+        "widths": [0.5],
     },
     "bt8": {**COMMON, "particles": [64, 128], "large": 128, "large_pressure": "1e-2:1e-3:2"},
     "modes": {**COMMON, "count": 126, "moments": 64},
     "drag": {**COMMON, "alphas": [0.5], "stress": 1e-3, "omega": "1e-5:1e1:7", "linear_omega": "1e-6:1e7:14"},
-}  # fmt: skip
+}
 figures = pytest.mark.parametrize("name", FIGURES)
 
 
@@ -262,11 +267,13 @@ def test_the_command_prints_the_page(packings, capsys):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["bt9"], "bt9"), (["bt3", "--preset", "huge"], "huge"),
-        (["bt3", "--parameters", "gone.toml"], "gone.toml"), (["bt3", "--resume", "--overwrite"], "--resume"),
+        (["bt9"], "bt9"),
+        (["bt3", "--preset", "huge"], "huge"),
+        (["bt3", "--parameters", "gone.toml"], "gone.toml"),
+        (["bt3", "--resume", "--overwrite"], "--resume"),
         (["bt3", "--present", "small"], "--preset"),
     ],
-)  # fmt: skip
+)
 def test_what_is_unknown_is_named(tmp_path, capfd, arguments, named):
     assert named in refused(capfd, "figure", *arguments, "-o", tmp_path)
     assert not list(tmp_path.iterdir())
@@ -275,10 +282,13 @@ def test_what_is_unknown_is_named(tmp_path, capfd, arguments, named):
 @pytest.mark.parametrize(
     ("changed", "named"),
     [
-        ({"pressure": "fast"}, "pressure"), ({"pressure": "1e-2:1e-3"}, "1e-2:1e-3"),
-        ({"seeds": "3:1"}, "seeds"), ({"particles": 3}, "3"), ({"pressure": "-1:1:3"}, "pressure"),
+        ({"pressure": "fast"}, "pressure"),
+        ({"pressure": "1e-2:1e-3"}, "1e-2:1e-3"),
+        ({"seeds": "3:1"}, "seeds"),
+        ({"particles": 3}, "3"),
+        ({"pressure": "-1:1:3"}, "pressure"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_value_is_named(tmp_path, capfd, changed, named):
     assert names(refused(capfd, *command(tmp_path, parameters={**COMMON, **changed})), named)
 
@@ -450,9 +460,7 @@ def test_a_collapse_notes_every_exponent(study):
     def form(a, b, *, n):
         return n**-b, n**-a
 
-    study.collapsed(
-        "c", lambda: collapse(curves, form, {"a": 0.4, "b": 1.4}, resamples=5), {"a": "1", "b": "2"}
-    )
+    study.collapsed("c", lambda: collapse(curves, form, {"a": 0.4, "b": 1.4}, resamples=5), {"a": "1", "b": "2"})
     assert {f.name: f.paper for f in study.findings} == {"c: a": "1", "c: b": "2"}
     assert [f.value for f in study.findings] == pytest.approx([0.5, 1.5], abs=0.02)
 
@@ -486,8 +494,7 @@ def test_the_viscosity_is_linear_in_beta(made, shared, prestress):
     made("bt5")
     packing = pj.Packing.read(shared / "packings" / "N64_p0.001_s0001.h5")
     none, some, full = (
-        pj.viscosity(packing, damping=pj.ContactDamping(beta), prestress=prestress).eta0
-        for beta in (0.0, 0.3, 1.0)
+        pj.viscosity(packing, damping=pj.ContactDamping(beta), prestress=prestress).eta0 for beta in (0.0, 0.3, 1.0)
     )
     assert full > 2 * none
     assert some == pytest.approx(0.7 * none + 0.3 * full, rel=1e-9)
@@ -500,10 +507,7 @@ def test_the_crossover_of_beta_is_where_both_parts_are_equal(made, shared):
         stars = []
         for seed in (1, 2, 3):
             packing = pj.Packing.read(shared / "packings" / f"N64_p{x:g}_s000{seed}.h5")
-            a, b = (
-                pj.viscosity(packing, damping=pj.ContactDamping(beta), prestress=False).eta0
-                for beta in (0.2, 0.7)
-            )
+            a, b = (pj.viscosity(packing, damping=pj.ContactDamping(beta), prestress=False).eta0 for beta in (0.2, 0.7))
             slope = (b - a) / 0.5
             stars.append((a - 0.2 * slope) / slope)
         samples.append(stars)
@@ -540,11 +544,15 @@ def test_all_modes_rebuild_the_response(made, shared):
 @pytest.mark.parametrize(
     ("ratios", "least"),
     [
-        ([1.0, 1.0, 1.0, 1.0], 1), ([3.0, 1.0, 1.0, 1.0], 2), ([1.0, 0.5, 1.0, 1.0], 4),
-        ([3.0, 2.0, 1 + 0.99 * WITHIN, 1.0], 4), ([0.0, 0.0, 1 - 1.01 * WITHIN, 1.0], 8),
-        ([3.0, 2.0, 2.0, 2.0], np.nan), ([1.0, 1.0, 1.0, 2.0], np.nan),
+        ([1.0, 1.0, 1.0, 1.0], 1),
+        ([3.0, 1.0, 1.0, 1.0], 2),
+        ([1.0, 0.5, 1.0, 1.0], 4),
+        ([3.0, 2.0, 1 + 0.99 * WITHIN, 1.0], 4),
+        ([0.0, 0.0, 1 - 1.01 * WITHIN, 1.0], 8),
+        ([3.0, 2.0, 2.0, 2.0], np.nan),
+        ([1.0, 1.0, 1.0, 2.0], np.nan),
     ],
-)  # fmt: skip
+)
 def test_how_many_modes_are_enough(ratios, least):
     assert enough(np.array(ratios), np.array([1, 2, 4, 8])) == pytest.approx(least, nan_ok=True)
 

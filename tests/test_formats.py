@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_io import JAMBASH, JAXMD, packings, refuses, same_bits
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Certificate, Packing
 from petscjam.io.exporters import export_packing
 from petscjam.io.importers import import_packing
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Certificate, Packing
 
 
 def turned(packing):
@@ -76,8 +76,12 @@ def test_gsd_index_picks_the_frame(frames):
 
 def test_gsd_provenance_states_the_precision(frames):
     assert import_packing(frames({})).provenance == {
-        "source": "p.gsd", "format": "GSD", "index": 0, "precision": "float32", "header": {"step": 0},
-    }  # fmt: skip
+        "source": "p.gsd",
+        "format": "GSD",
+        "index": 0,
+        "precision": "float32",
+        "header": {"step": 0},
+    }
 
 
 @given(packings())
@@ -251,9 +255,11 @@ def lammps(tmp_path):
 
 
 LAMMPS_DATA_VECTORS = (
-    LAMMPS_DATA.replace("-1 9 xlo xhi", "10 0 0 avec").replace("0 8 ylo yhi", "-3 8 0 bvec")
-    .replace("-0.5 0.5 zlo zhi", "0 0 1 cvec").replace("-3 0 0 xy xz yz", "-1 0 0 abc origin")
-)  # fmt: skip
+    LAMMPS_DATA.replace("-1 9 xlo xhi", "10 0 0 avec")
+    .replace("0 8 ylo yhi", "-3 8 0 bvec")
+    .replace("-0.5 0.5 zlo zhi", "0 0 1 cvec")
+    .replace("-3 0 0 xy xz yz", "-1 0 0 abc origin")
+)
 
 
 @pytest.mark.parametrize(
@@ -337,9 +343,7 @@ def test_bad_lammps_dump_is_refused_with_its_line(lammps, old, new, words):
     refuses(lammps(LAMMPS_DUMP.replace(old, new, 1)), *words)
 
 
-@pytest.mark.parametrize(
-    ("text", "old", "index"), [(LAMMPS_DATA_VECTORS, "10 0 0", 0), (LAMMPS_DUMP, "10 0 0", 3)]
-)
+@pytest.mark.parametrize(("text", "old", "index"), [(LAMMPS_DATA_VECTORS, "10 0 0", 0), (LAMMPS_DUMP, "10 0 0", 3)])
 def test_lammps_lattice_vector_out_of_the_plane(lammps, text, old, index):
     path = lammps(text.replace(old, "10 0 0.5"))
     refuses(path, "plane", "0.5", read=lambda path: import_packing(path, index))
@@ -389,12 +393,16 @@ def test_what_a_foreign_header_says_stays_in_the_header(packing, tmp_path):
     path.write_text(path.read_text().replace(" source_checksum=", f" {said} source_checksum="))
     provenance = import_packing(path).provenance
     assert {key: provenance[key] for key in provenance if key != "header"} == {
-        "source": "p.xyz", "format": "extended XYZ",
-    }  # fmt: skip
+        "source": "p.xyz",
+        "format": "extended XYZ",
+    }
     assert provenance["header"] == {
-        "pressure": "0.001", "shear_stabilised": "False", "program": "petscjam", "source": "elsewhere",
+        "pressure": "0.001",
+        "shear_stabilised": "False",
+        "program": "petscjam",
+        "source": "elsewhere",
         "source_checksum": packing.checksum,
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("write", [None, Packing.write, export_packing])
@@ -405,23 +413,21 @@ def test_another_potential_than_that_of_the_file_is_refused(packing, tmp_path, w
         write(packing, path)
     assert import_packing(path, potential_name="harmonic").potential_name == "harmonic"
     refuses(
-        path, "'harmonic'", "'harmonic-relative'",
+        path,
+        "'harmonic'",
+        "'harmonic-relative'",
         read=lambda path: import_packing(path, potential_name="harmonic-relative"),
-    )  # fmt: skip
+    )
 
 
 def test_another_potential_than_that_of_jaxmd_is_refused():
     refuses(
-        JAXMD, "'harmonic'", "'harmonic-relative'",
-        read=lambda path: import_packing(path, potential_name="harmonic"),
-    )  # fmt: skip
+        JAXMD, "'harmonic'", "'harmonic-relative'", read=lambda path: import_packing(path, potential_name="harmonic")
+    )
 
 
 def test_unknown_potential(lammps):
-    refuses(
-        lammps(LAMMPS_DATA), "'morse'", "known are",
-        read=lambda path: import_packing(path, potential_name="morse"),
-    )  # fmt: skip
+    refuses(lammps(LAMMPS_DATA), "'morse'", "known are", read=lambda path: import_packing(path, potential_name="morse"))
 
 
 # H5MD written elsewhere is our own file
@@ -509,9 +515,7 @@ def sees(python, program, path, packing, tolerance):
     found = json.loads(run.stdout.splitlines()[-1])
     assert np.abs(np.array(found["positions"])[:, :2] - packing.positions).max() <= tolerance
     assert np.abs(np.array(found["cell"])[:2, :2] - packing.box.cell).max() <= tolerance
-    assert (
-        np.abs(np.array(found["radii"]) / packing.radii - 1).max() < 1e-7
-    )  # OVITO's are of single precision
+    assert np.abs(np.array(found["radii"]) / packing.radii - 1).max() < 1e-7  # OVITO's are of single precision
     assert found["contacts"] == contacts(packing)
 
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
 
 seeds = st.integers(0, 2**32)
 
@@ -81,12 +81,7 @@ def test_deforming_a_box_deforms_its_vectors():
 
 
 @pytest.mark.parametrize(
-    ("cell", "message"),
-    [
-        ([[1, 2], [2, 4]], "no area"),
-        ([[1, np.inf], [0, 1]], "not finite"),
-        (np.eye(3), "2x2"),
-    ],
+    ("cell", "message"), [([[1, 2], [2, 4]], "no area"), ([[1, np.inf], [0, 1]], "not finite"), (np.eye(3), "2x2")]
 )
 def test_bad_cells_are_refused(cell, message):
     with pytest.raises(InputError, match=message):
@@ -166,9 +161,7 @@ def test_a_packing_repeated_has_the_same_stress_and_coordination():
     packing = crowd(3)
     four = images(packing.box, 1)[[0, 1, 3, 4]]
     repeated = Packing(
-        (packing.positions + four[:, None]).reshape(-1, 2),
-        np.tile(packing.radii, 4),
-        Box(2 * packing.box.cell),
+        (packing.positions + four[:, None]).reshape(-1, 2), np.tile(packing.radii, 4), Box(2 * packing.box.cell)
     )
     once, often = ContactNetwork.of(packing), ContactNetwork.of(repeated)
     assert (len(often), often.rattlers) == (4 * len(once), 4 * once.rattlers)
@@ -214,9 +207,7 @@ def bands(count):
     """Zigzag bands of two rows across the cell, too far apart to touch."""
     rows = [[(k, 4 * band), (k + 0.5, 4 * band + np.sqrt(3) / 2)] for band in range(count) for k in range(4)]
     positions = np.array(rows).reshape(-1, 2)
-    return ContactNetwork.of(
-        Packing(positions, np.full(len(positions), 0.501), Box([[4, 0], [0, 4 * count]]))
-    )
+    return ContactNetwork.of(Packing(positions, np.full(len(positions), 0.501), Box([[4, 0], [0, 4 * count]])))
 
 
 def test_one_band_holds_together():

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.base.interrupt import Interrupted, check, deferred, listening
 from petscjam.cli import main
-from petscjam.interrupt import Interrupted, check, deferred, listening
 from petscjam.md.simulation import Simulation
 from petscjam.parallel.comm import on_root, raise_together
 from petscjam.parallel.solver import DirectSolver
@@ -197,9 +197,12 @@ def stopped_at_random(verb, tmp_path, environment, signals, seed):
     def command(output, *more):
         words = VERBS[verb].format(lib=tmp_path / "lib", out=output).split()
         program = subprocess.Popen(
-            [sys.executable, "-m", "petscjam", *words, *more], env=environment,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            [sys.executable, "-m", "petscjam", *words, *more],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         while program.poll() is None and not listens(program.pid):
             time.sleep(0.01)
         return program

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import atomic_h5, open_h5, write_atomically
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Certificate, Packing
 from petscjam.io.exporters import export_packing
 from petscjam.io.importers import import_packing
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Certificate, Packing
-from petscjam.storage import atomic_h5, open_h5, write_atomically
 
 DATA = Path(__file__).parent / "data"
 JAMBASH = DATA / "jambashbulk-N16-P1e-3-0001.txt"
@@ -93,13 +93,7 @@ def test_certificate_comes_back_with_what_was_not_measured(packing, tmp_path):
 
 
 def test_provenance_comes_back(packing, tmp_path):
-    origin = {
-        "seed": np.int64(3),
-        "pressure": 0.1,
-        "by": "Müller",
-        "stable": True,
-        "versions": {"numpy": "2"},
-    }
+    origin = {"seed": np.int64(3), "pressure": 0.1, "by": "Müller", "stable": True, "versions": {"numpy": "2"}}
     replace(packing, provenance=origin).write(tmp_path / "p.h5")
     assert Packing.read(tmp_path / "p.h5").provenance == origin
 
@@ -354,8 +348,8 @@ def test_full_disk_leaves_the_old_file(written):
     before = written.read_bytes()
     code = f"""
 import resource, signal
-from petscjam.errors import InputError
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.geometry.packing import Packing
 packing = Packing.read({str(written)!r})
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
@@ -374,7 +368,7 @@ def test_killed_before_the_replacement_leaves_the_old_file(written):
     before = written.read_bytes()
     code = f"""
 import os, signal
-from petscjam.storage import write_atomically
+from petscjam.base.files import write_atomically
 os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 write_atomically({str(written)!r}, b"new")
 """

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from petscjam import reference_md
-from petscjam.damping import ContactDamping, StokesDrag
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.importers import import_packing
 from petscjam.io.lammps_shear import read_lammps, read_log, write_lammps
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import random_state
-from petscjam.potential import POTENTIALS
+from petscjam.reference.linear import md as reference_md
+from petscjam.rows.damping import ContactDamping, StokesDrag
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 LAMMPS = Path(__file__).parents[1] / ".venv-lammps"
@@ -169,10 +169,7 @@ def test_log_gives_the_last_table_without_warnings_and_half_lines(tmp_path):
     log = tmp_path / "shear.log"
     log.write_text("Step a\n0 1\nLoop time of 1\n   Step   strain\n  0  0.5\nWARNING: x\n 10 0.75\n 20\n")
     table = read_log(log)
-    assert {name: values.tolist() for name, values in table.items()} == {
-        "Step": [0, 10],
-        "strain": [0.5, 0.75],
-    }
+    assert {name: values.tolist() for name, values in table.items()} == {"Step": [0, 10], "strain": [0.5, 0.75]}
 
 
 def test_log_without_a_table_is_refused(tmp_path):
@@ -246,9 +243,11 @@ def forces_of_lammps(state, model, folder):
     fx, fy, torques = np.loadtxt(folder / "forces.dump", skiprows=9).T
     after, forces = read_lammps(folder), np.stack([fx, fy], axis=1)
     spins = after.spins - model.rolls * torques * DT / 2 / reference_md.inertia(after)
-    return forces, torques, replace(
-        after, velocities=after.velocities - forces * DT / 2, spins=spins, strain=after.strain - RATE * DT
-    )  # fmt: skip
+    return (
+        forces,
+        torques,
+        replace(after, velocities=after.velocities - forces * DT / 2, spins=spins, strain=after.strain - RATE * DT),
+    )
 
 
 def forces_at_surfaces(state, model):

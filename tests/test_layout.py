@@ -4,44 +4,35 @@ import ast
 import json
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 SOURCE = Path(__file__).parents[1] / "src"
 
-# A module may import from its own line and from the lines above it. The longest name that fits counts,
-# so packing.prepare stands below network, though packing stands above it.
+# A folder may import from itself and from the folders above it.
 PIPELINE = [
-    "errors ranges storage progress values compiled interrupt",
-    "parallel.comm parallel.container parallel.memory",
-    "box neighbours",
-    "potential",
-    "packing",
-    "network",
-    "kinematics",
+    "base",
     "parallel",
-    "packing.newton packing.certify packing.prepare packing.library",
-    "damping",
+    "geometry",
+    "rows",
+    "preparation",
     "response",
-    "analysis",
     "md",
+    "analysis",
     "io",
-    "ensemble",
-    "reference reference_md",
-    "report",
     "plots",
     "figures",
-    "cli __main__",
+    "reference",
+    "cli",
 ]
-STAGE = {f"petscjam.{name}": stage for stage, line in enumerate(PIPELINE) for name in line.split()}
 
 
-def stage(module):
-    """Line of PIPELINE on which a module, or a name imported from one, stands; None for the package."""
-    parts = module.split(".")
-    names = (".".join(parts[:n]) for n in range(len(parts), 0, -1))
-    return next((STAGE[name] for name in names if name in STAGE), None)
+def folder(module):
+    """The folder of a module, or of a name imported from one; the command itself belongs to cli."""
+    name = module.split(".")[1]
+    return "cli" if name == "__main__" else name
 
 
 def imports(path, module):
@@ -70,10 +61,18 @@ def modules():
 
 @pytest.mark.parametrize(("path", "module"), modules())
 def test_imports_point_backwards(path, module):
-    here = stage(module)
-    assert here is not None, f"{module} has no place in PIPELINE"
-    forwards = [name for name in imports(path, module) if (there := stage(name)) is None or there > here]
+    here = PIPELINE.index(folder(module))
+    forwards = [name for name in imports(path, module) if PIPELINE.index(folder(name)) > here]
     assert not forwards, f"{module} imports what comes later in the pipeline: {forwards}"
+
+
+def test_no_module_imports_itself_through_others():
+    names = {param.values[1] for param in modules()}
+    graph = {}
+    for path, module in (param.values for param in modules()):
+        found = (name if name in names else name.rpartition(".")[0] for name in imports(path, module))
+        graph[module] = {name for name in found if name in names and name != module}
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def in_a_new_process(code):

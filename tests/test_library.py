@@ -15,11 +15,11 @@ from conftest import names
 
 import petscjam as pj
 import petscjam.plots
+from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.errors import InputError, SolverError
-from petscjam.packing.library import INDEX, RECIPE, threads_for
 from petscjam.parallel.teams import cores_each, teams
-from petscjam.report import describe_library
+from petscjam.plots.tables import describe_library
+from petscjam.preparation.library import INDEX, RECIPE, threads_for
 
 SMALL = dict(particles=[8, 16], pressures=[1e-2, 1e-3], seeds=[1, 2])
 FAMILY = dict(particles=[16], pressures=[1e-3, 1e-1, 1e-2], seeds=[3], decompress=True)
@@ -334,12 +334,18 @@ def test_polydisperse_disks_are_not_mixed_units(tmp_path):
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        (dict(particles=[16, 1]), "not 1"), (dict(pressures=[1e-2, -1.0]), "-1"), (dict(seeds=[-2]), "-2"),
-        (dict(ratio=0.0), "ratio"), (dict(pressures=[1e-2, 1e-12]), "1e-12"), (dict(budget=0), "not 0"),
-        (dict(pressures=[1e-2, 0.01]), "N16_p0.01_s0001.h5"), (dict(seeds=[]), "nothing to prepare"),
-        (dict(pressures=[1e-2, np.nan]), "nan"), (dict(method="magic"), "magic"),
+        (dict(particles=[16, 1]), "not 1"),
+        (dict(pressures=[1e-2, -1.0]), "-1"),
+        (dict(seeds=[-2]), "-2"),
+        (dict(ratio=0.0), "ratio"),
+        (dict(pressures=[1e-2, 1e-12]), "1e-12"),
+        (dict(budget=0), "not 0"),
+        (dict(pressures=[1e-2, 0.01]), "N16_p0.01_s0001.h5"),
+        (dict(seeds=[]), "nothing to prepare"),
+        (dict(pressures=[1e-2, np.nan]), "nan"),
+        (dict(method="magic"), "magic"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parallel(nprocs=[1, 2])
 def test_bad_input_is_refused_before_anything_is_made(comm, shared, bad, message):
     arguments = dict(particles=[16], pressures=[1e-2], seeds=[1]) | bad
@@ -399,7 +405,7 @@ def test_a_family_goes_on_from_what_is_there(tmp_path, monkeypatch):
             raise SolverError("injected")
         return pj.relax_packing(packing, pressure, **options)
 
-    monkeypatch.setattr("petscjam.packing.library.relax_packing", relax)
+    monkeypatch.setattr("petscjam.preparation.library.relax_packing", relax)
     library = pj.prepare_library(folder, pressures=pressures, **series)
     assert [(row["target"], row["failure"]) for row in library.failed] == [(1e-2, "injected")]
     assert [row["target"] for row in library.rows] == [1e-4, 1e-3, 1e-1]
@@ -412,14 +418,14 @@ def test_any_exception_in_making_a_packing_is_a_failure(comm, shared, monkeypatc
             raise ZeroDivisionError("injected")
         return pj.prepare_packing(n, pressure, seed, **options)
 
-    monkeypatch.setattr("petscjam.packing.library.prepare_packing", prepare)
+    monkeypatch.setattr("petscjam.preparation.library.prepare_packing", prepare)
     library = pj.prepare_library(shared / "lib", [16], [1e-2], [1, 2, 3], comm=comm)
     assert [row["failure"] for row in library.failed] == ["ZeroDivisionError: injected"]
     assert len(library.rows) == 2
 
 
 @pytest.mark.parallel(nprocs=2)
-@pytest.mark.parametrize("what", ["petscjam.packing.library._append", "petscjam.Packing.write"])
+@pytest.mark.parametrize("what", ["petscjam.preparation.library._append", "petscjam.Packing.write"])
 @pytest.mark.parametrize(("error", "elsewhere"), [(InputError, InputError), (MemoryError, RuntimeError)])
 def test_a_file_that_one_rank_cannot_write_ends_all(comm, shared, monkeypatch, what, error, elsewhere):
     def full(*arguments, **options):
@@ -433,7 +439,7 @@ def test_a_file_that_one_rank_cannot_write_ends_all(comm, shared, monkeypatch, w
 
 def test_a_packing_that_is_not_there_has_failed(tmp_path, monkeypatch, capfd):
     """Whether or not its line got into the index."""
-    monkeypatch.setattr("petscjam.packing.library._append", lambda *arguments: None)
+    monkeypatch.setattr("petscjam.preparation.library._append", lambda *arguments: None)
     arguments = ["prepare", "--particles", "16", "--pressure", "1e-1,1e-4", "--budget", "400"]
     assert main([*arguments, "-o", str(tmp_path / "lib")]) == 1
     printed = capfd.readouterr()
@@ -505,11 +511,16 @@ def test_the_command_line_counts_more_than_the_file(tmp_path, config):
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("presure = 1e-3", "pressure"), ("pressure = -1.0", "-1"), ("decompress = 1", "decompress"),
-        ("pressure 1e-3", "lib.toml"), ("seed = 1\nseeds = [1]", "--seed"), ("config = 'x'", "config"),
-        ("particles = 16.5", "16.5"), ("[prepare]\nseed = 1", "prepare"),
+        ("presure = 1e-3", "pressure"),
+        ("pressure = -1.0", "-1"),
+        ("decompress = 1", "decompress"),
+        ("pressure 1e-3", "lib.toml"),
+        ("seed = 1\nseeds = [1]", "--seed"),
+        ("config = 'x'", "config"),
+        ("particles = 16.5", "16.5"),
+        ("[prepare]\nseed = 1", "prepare"),
     ],
-)  # fmt: skip
+)
 def test_bad_settings(tmp_path, config, capfd, text, named):
     config.write_text(text)
     assert names(refused(capfd, "prepare", "--config", config, "-o", tmp_path / "lib"), named)
@@ -563,8 +574,7 @@ def kill(run):
 
 
 @pytest.mark.parametrize(
-    ("kills", "ranks"),
-    [(3, 1), pytest.param(20, 2, marks=[pytest.mark.slow, pytest.mark.timeout(900)])],
+    ("kills", "ranks"), [(3, 1), pytest.param(20, 2, marks=[pytest.mark.slow, pytest.mark.timeout(900)])]
 )
 def test_killed_at_random_moments_it_ends_with_the_same_files(tmp_path, environment, launch, kills, ranks):
     seeds = range(1, 3 * kills * ranks)
@@ -578,9 +588,8 @@ def test_killed_at_random_moments_it_ends_with_the_same_files(tmp_path, environm
     for _ in range(kills):
         before = len(packings(out))
         run = subprocess.Popen(
-            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )  # fmt: skip
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
         early = moment.random() < 0.25  # while it starts
         more, last = moment.choice([1, 2, 3]), time.monotonic() + (moment.uniform(0, 1.5) if early else 60)
         while run.poll() is None and len(packings(out)) < before + more and time.monotonic() < last:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam import reference
-from petscjam.kinematics import SIMPLE_SHEAR, STRAINS, strain_mode
+from petscjam.reference.linear import linear as reference
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.kinematics import SIMPLE_SHEAR, STRAINS, strain_mode
 
 DATA = Path(__file__).parent / "data"
 LAWS = [pj.ContactDamping(0.3), pj.ContactDamping(0.3, rotations=False), pj.StokesDrag(2.0)]
@@ -29,8 +29,9 @@ def dense(packing, law, comm, strain=SIMPLE_SHEAR, prestress=True):
     out = []
     with assembled(problem.K, problem.B, dofs, comm) as pencil:
         for matrix, column, corner in (
-            (pencil.K, pencil.k, problem.affine[0]), (pencil.B, pencil.b, problem.affine[1]),
-        ):  # fmt: skip
+            (pencil.K, pencil.k, problem.affine[0]),
+            (pencil.B, pencil.b, problem.affine[1]),
+        ):
             indptr, indices, values = matrix.getValuesCSR()
             local = np.zeros((len(indptr) - 1, dofs.size), dtype=complex)
             np.add.at(local, (np.repeat(np.arange(len(local)), np.diff(indptr)), indices), values)

@@ -5,39 +5,42 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from test_md_twin import (
-    LAW,
-    bounces_as_it_should,
-    by_other_images,
-    close,
-    disks,
-    drags_a_lone_disk,
-    never_parts,
-    strip,
-)
+from test_md_twin import LAW, bounces_as_it_should, by_other_images, close, disks, drags_a_lone_disk, never_parts, strip
 
-from petscjam import reference_md as twin
-from petscjam.errors import InputError, SolverError
+from petscjam.base.errors import InputError, SolverError
+from petscjam.geometry.neighbours import CHUNK
+from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import kernels
 from petscjam.md.kernels import TICKS
 from petscjam.md.model import INTEGRATORS, MODELS, Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state
-from petscjam.neighbours import CHUNK
-from petscjam.potential import POTENTIALS, power_law
+from petscjam.reference.linear import md as twin
 
 EACH = pytest.mark.parametrize("integrator", INTEGRATORS)
 OTHERS = pytest.mark.parametrize(
     "others",
-    [{}, {"potential": POTENTIALS["hertzian-relative"]}, {"potential": POTENTIALS["harmonic"]},
-     {"potential": power_law(3.0, relative=False)}, {"drag": 0.7, "spin_drag": 0.05}],
+    [
+        {},
+        {"potential": POTENTIALS["hertzian-relative"]},
+        {"potential": POTENTIALS["harmonic"]},
+        {"potential": power_law(3.0, relative=False)},
+        {"drag": 0.7, "spin_drag": 0.05},
+    ],
     ids=lambda others: others["potential"].name if "potential" in others else str(others),
-)  # fmt: skip
+)
 PRESSURE = {
-    "EXX": (0, 0, 0), "EXY": (0, 0, 1), "EYY": (0, 1, 1),
-    "DXX": (1, 0, 0), "DXY": (1, 0, 1), "DYX": (1, 1, 0), "DYY": (1, 1, 1),
-    "KXX": (2, 0, 0), "KXY": (2, 0, 1), "KYY": (2, 1, 1),
-}  # fmt: skip
+    "EXX": (0, 0, 0),
+    "EXY": (0, 0, 1),
+    "EYY": (0, 1, 1),
+    "DXX": (1, 0, 0),
+    "DXY": (1, 0, 1),
+    "DYX": (1, 1, 0),
+    "DYY": (1, 1, 1),
+    "KXX": (2, 0, 0),
+    "KXY": (2, 0, 1),
+    "KYY": (2, 1, 1),
+}
 
 
 def advance(simulation, steps):
@@ -178,9 +181,15 @@ def tiled(state, times):
     x = np.stack([state.positions[:, 0] + (nx + ny * state.strain) * L, state.positions[:, 1] + ny * L], 2)
     v = np.stack([state.velocities[:, 0] + ny * state.rate * L, state.velocities[:, 1] + 0 * ny], 2)
     return State(
-        x.reshape(-1, 2), v.reshape(-1, 2), np.tile(state.spins, times**2), np.tile(state.radii, times**2),
-        times * L, state.strain, state.rate, state.time,
-    )  # fmt: skip
+        x.reshape(-1, 2),
+        v.reshape(-1, 2),
+        np.tile(state.spins, times**2),
+        np.tile(state.radii, times**2),
+        times * L,
+        state.strain,
+        state.rate,
+        state.time,
+    )
 
 
 @EACH
@@ -265,9 +274,7 @@ def linearised(state, model, masses):
 
 
 @pytest.mark.parametrize("phi", [0.3, 0.9])
-@pytest.mark.parametrize(
-    "others", [{}, {"drag": 20.0, "spin_drag": 4.0}, {"potential": power_law(2.5, False)}]
-)
+@pytest.mark.parametrize("others", [{}, {"drag": 20.0, "spin_drag": 4.0}, {"potential": power_law(2.5, False)}])
 @pytest.mark.parametrize("law", LAW)
 def test_the_bounds_of_the_rates_are_above_the_largest_eigenvalues(law, others, phi):
     """And not far above, where disks are alike."""
@@ -630,8 +637,6 @@ def test_disks_turn_with_half_the_vorticity(integrator):
 def test_disks_that_leave_their_neighbours_within_a_step_are_refused():
     """No list of pairs holds for a step: an error, not an endless loop."""
     state = disks(0, 24)
-    simulation = Simulation(
-        replace(state, velocities=30 * state.velocities), Model(MODELS["CD_rot"], 1.0), 0.05
-    )
+    simulation = Simulation(replace(state, velocities=30 * state.velocities), Model(MODELS["CD_rot"], 1.0), 0.05)
     with pytest.raises(SolverError, match="take a smaller dt"):
         advance(simulation, 10)

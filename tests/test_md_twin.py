@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import petscjam as pj
-from petscjam import reference_md as twin
-from petscjam.damping import LAWS, viscous_form
-from petscjam.kinematics import SIMPLE_SHEAR
+from petscjam.geometry.potential import power_law
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import State, cell_length
-from petscjam.potential import power_law
+from petscjam.reference.linear import md as twin
+from petscjam.rows.damping import LAWS, viscous_form
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 LAW = [
     *(pytest.param(law, id=name) for name, law in MODELS.items()),
@@ -225,9 +225,7 @@ def test_gears_do_not_rub():
 @given(states, models, st.floats(-5, 5), st.floats(-5, 5))
 def test_the_origin_is_anywhere(state, model, x, y):
     along = np.array([state.rate * y, 0.0])
-    shifted = replace(
-        state, positions=state.positions + np.array([x, y]), velocities=state.velocities + along
-    )
+    shifted = replace(state, positions=state.positions + np.array([x, y]), velocities=state.velocities + along)
     assert close(everything(shifted, model), everything(state, model))
 
 
@@ -241,9 +239,7 @@ def test_any_image_will_do(state, model, seed):
 @given(states, models, st.integers(-3, 3))
 def test_a_strain_of_whole_cells_is_none(state, model, cells):
     wrapped = state.wrapped()
-    assert close(
-        everything(replace(wrapped, strain=wrapped.strain + cells), model), everything(wrapped, model)
-    )
+    assert close(everything(replace(wrapped, strain=wrapped.strain + cells), model), everything(wrapped, model))
 
 
 @given(states, models)
@@ -259,9 +255,12 @@ def test_turning_everything_by_half_a_circle_changes_signs_of_vectors_alone(stat
 
 def along(state, h, positions=0.0, velocities=0.0, spins=0.0, strain=0.0):
     return replace(
-        state, positions=state.positions + h * positions, velocities=state.velocities + h * velocities,
-        spins=state.spins + h * spins, strain=state.strain + h * strain,
-    )  # fmt: skip
+        state,
+        positions=state.positions + h * positions,
+        velocities=state.velocities + h * velocities,
+        spins=state.spins + h * spins,
+        strain=state.strain + h * strain,
+    )
 
 
 def slope(function, h=1e-5):
@@ -286,9 +285,7 @@ def test_elastic_pressure_is_the_derivative_of_the_energy_by_the_cell(state, mod
     dE = slope(lambda h: twin.energy(along(still, h, positions=sheared, strain=1.0), model))
     assert dE == pytest.approx(-area * elastic[0, 1], abs=1e-6)
     dE = slope(
-        lambda h: twin.energy(
-            replace(still, positions=still.positions * (1 + h), length=still.length * (1 + h)), model
-        )
+        lambda h: twin.energy(replace(still, positions=still.positions * (1 + h), length=still.length * (1 + h)), model)
     )
     assert dE == pytest.approx(-area * np.trace(elastic), abs=1e-6)
 

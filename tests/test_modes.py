@@ -10,19 +10,19 @@ from scipy.linalg import eigh
 from scipy.sparse import csc_array
 
 import petscjam as pj
-from petscjam import reference
-from petscjam.kinematics import SIMPLE_SHEAR
-from petscjam.packing import certify as certify_module
-from petscjam.packing.certify import below_all, certify, hessian, pivots_below
-from petscjam.packing.certify import lowest_modes as lowest_of
 from petscjam.parallel.eigen import Pairs, lowest_pairs, pencil_pairs
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying, petsc
+from petscjam.preparation import certify as certify_module
+from petscjam.preparation.certify import below_all, certify, hessian, pivots_below
+from petscjam.preparation.certify import lowest_modes as lowest_of
+from petscjam.reference.linear import linear as reference
 from petscjam.response import modes as modes_module
 from petscjam.response import relaxations as relaxations_module
 from petscjam.response.modes import lowest_modes
 from petscjam.response.problem import LinearProblem
 from petscjam.response.relaxations import relaxation_modes
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 PUBLISHED = {
@@ -30,9 +30,12 @@ PUBLISHED = {
     False: ([0.0612012380, 0.1307559102, 0.1938721026], 0.1105622390),
 }
 LAWS = [
-    pj.ContactDamping(), pj.ContactDamping(beta=0.01), pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(rotations=False), pj.StokesDrag(eta_fluid=1.0),
-]  # fmt: skip
+    pj.ContactDamping(),
+    pj.ContactDamping(beta=0.01),
+    pj.ContactDamping(beta=0.0),
+    pj.ContactDamping(rotations=False),
+    pj.StokesDrag(eta_fluid=1.0),
+]
 
 any_prestress = pytest.mark.parametrize("prestress", [True, False])
 any_strain = pytest.mark.parametrize("strain", ["simple-shear", "pure-shear", "compression"])
@@ -101,9 +104,7 @@ any_degenerate = pytest.mark.parametrize("make", DEGENERATE)
 
 
 def in_units(packing, length, potential):
-    return pj.Packing(
-        length * packing.positions, length * packing.radii, pj.Box(length * packing.box.cell), potential
-    )
+    return pj.Packing(length * packing.positions, length * packing.radii, pj.Box(length * packing.box.cell), potential)
 
 
 @cache

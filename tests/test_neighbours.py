@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from test_geometry import boxes, seeds, sheared_by_whole_vectors
 
-from petscjam.box import Box
-from petscjam.errors import InputError
-from petscjam.neighbours import CHUNK, _grids, _list, find, pairs
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.neighbours import CHUNK, _grids, _list, find, pairs
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 
 skins = st.one_of(st.just(0.0), st.floats(1e-3, 0.3))
 
@@ -37,9 +37,7 @@ def pairs_by_loops(box, positions, radii, skin):
 def disks(box, n, decades, seed):
     """Disks anywhere, also outside the cell; the largest are about as wide as the cell."""
     random = np.random.default_rng(seed)
-    return random.uniform(-1, 2, (n, 2)) @ box.cell, 10 ** random.uniform(-decades, 0, n) * random.uniform(
-        0.05, 0.9
-    )
+    return random.uniform(-1, 2, (n, 2)) @ box.cell, 10 ** random.uniform(-decades, 0, n) * random.uniform(0.05, 0.9)
 
 
 def crowd(n, phi, sizes, seed=1):
@@ -57,7 +55,7 @@ SIZES = {
     "one dwarf": lambda n, random: np.append(np.full(n - 1, 0.5), 5e-4),
     "three decades": lambda n, random: 10 ** random.uniform(-3, 0, n),
     "Apollonian": lambda n, random: 1e-3 * random.uniform(1e-4, 1, n) ** (-1 / 1.3),
-}  # fmt: skip
+}
 
 
 def sizes(name, n):

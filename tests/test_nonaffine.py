@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam import reference
-from petscjam.damping import LAWS
-from petscjam.kinematics import STRAINS
+from petscjam.reference.linear import linear as reference
+from petscjam.rows.damping import LAWS
+from petscjam.rows.kinematics import STRAINS
 
 DATA = Path(__file__).parent / "data"
 any_prestress = pytest.mark.parametrize("prestress", [True, False])
@@ -127,11 +127,13 @@ def test_viscosity_is_that_of_the_spectrum(law, prestress):
 @pytest.mark.parametrize(
     ("law", "prestress", "eta0"),
     [
-        (pj.ContactDamping(), True, 1.509883234), (pj.ContactDamping(), False, 1.489362890),
+        (pj.ContactDamping(), True, 1.509883234),
+        (pj.ContactDamping(), False, 1.489362890),
         (pj.ContactDamping(rotations=False), True, 2.500404524),
-        (pj.ContactDamping(beta=0.1), True, 0.250502940), (pj.StokesDrag(), True, 1.470206985),
+        (pj.ContactDamping(beta=0.1), True, 0.250502940),
+        (pj.StokesDrag(), True, 1.470206985),
     ],
-)  # fmt: skip
+)
 def test_published_viscosities(law, prestress, eta0):
     assert pj.viscosity(sixteen(), damping=law, prestress=prestress).eta0 == pytest.approx(eta0, abs=6e-10)
 

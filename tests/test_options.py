@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.base.arguments import Within, path
+from petscjam.base.errors import InputError
 from petscjam.cli import main
 from petscjam.cli.parser import build_parser
-from petscjam.errors import InputError
 from petscjam.md import protocols
 from petscjam.md.runs import run
 from petscjam.parallel import memory
-from petscjam.values import Within, path
 
 DATA = Path(__file__).parent / "data"
 ABSURD = """
@@ -90,11 +90,7 @@ for words in json.loads(sys.argv[1]):
 
 
 def digests(folder):
-    return {
-        file: hashlib.sha256(file.read_bytes()).hexdigest()
-        for file in sorted(folder.rglob("*"))
-        if file.is_file()
-    }
+    return {file: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
 def command(verb, options, source, output):
@@ -185,12 +181,17 @@ def test_absurd_numbers_are_refused_before_the_work(folder, tmp_path, capfd, mon
 
 @pytest.mark.parametrize(
     "work",
-    [lambda: run(protocols.steady(1e-4, 1e12), "CD", 16), lambda: pj.md.shear(n=16, seed=2**63),
-     lambda: pj.md.shear(n=16, row_time=-1.0), lambda: pj.md.shear(n=16, frames=-1),
-     lambda: pj.md.shear(Q=1e300),
-     lambda: protocols.steps([1e-3] * 2000, [1.0] * 2000), lambda: pj.prepare_packing(16, 1e-2, 2**63),
-     lambda: pj.ContactDamping(1e300)],
-)  # fmt: skip
+    [
+        lambda: run(protocols.steady(1e-4, 1e12), "CD", 16),
+        lambda: pj.md.shear(n=16, seed=2**63),
+        lambda: pj.md.shear(n=16, row_time=-1.0),
+        lambda: pj.md.shear(n=16, frames=-1),
+        lambda: pj.md.shear(Q=1e300),
+        lambda: protocols.steps([1e-3] * 2000, [1.0] * 2000),
+        lambda: pj.prepare_packing(16, 1e-2, 2**63),
+        lambda: pj.ContactDamping(1e300),
+    ],
+)
 def test_functions_refuse_them_too(work):
     """As the command does."""
     with pytest.raises(InputError, match=r"from|at most"):

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import petscjam as pj
+from petscjam.base.errors import InputError
+from petscjam.base.files import check_output, write_atomically
 from petscjam.cli import main
-from petscjam.errors import InputError
-from petscjam.storage import check_output, write_atomically
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -60,9 +60,12 @@ def test_an_input_is_no_output(run, tmp_path, capfd, verb, make):
         output = tmp_path / "other"
         make(run, output)
     given = {
-        "export": ["export", run, "--to", "csv"], "plot": ["plot", run], "import": ["import", run],
-        "shear": [*SHEAR[:1], *SHEAR[3:], "--start", run], "moduli": ["moduli", run],
-    }  # fmt: skip
+        "export": ["export", run, "--to", "csv"],
+        "plot": ["plot", run],
+        "import": ["import", run],
+        "shear": [*SHEAR[:1], *SHEAR[3:], "--start", run],
+        "moduli": ["moduli", run],
+    }
     assert "is an input, too" in refused(capfd, *given[verb], "--overwrite", "-o", output)
 
 
@@ -161,8 +164,8 @@ def test_hard_links_stay(tmp_path, data):
 def test_a_hard_link_on_a_full_disk_leaves_the_whole(tmp_path):
     code = """
 import errno, os, sys
-from petscjam import storage
-from petscjam.errors import InputError
+from petscjam.base import files as storage
+from petscjam.base.errors import InputError
 write, calls = storage._write_through, []
 def full(file, data):
     calls.append(1)

@@ -18,8 +18,7 @@ def petsc_with(scalar, packages):
 
 
 @pytest.mark.parametrize(
-    ("scalar", "packages", "missing"),
-    [(np.float64, ["mumps"], "real scalars"), (np.complex128, ["superlu"], "MUMPS")],
+    ("scalar", "packages", "missing"), [(np.float64, ["mumps"], "real scalars"), (np.complex128, ["superlu"], "MUMPS")]
 )
 def test_a_petsc_that_cannot_serve(scalar, packages, missing):
     with pytest.raises(pj.InputError, match=missing) as error:
@@ -42,9 +41,7 @@ def test_a_library_that_is_missing(environment, library, loader):
         f"try: {loader}()\n"
         f"except InputError as error: print(error)"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=60
-    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=60)
     assert f"petscjam needs {library}" in run.stdout
     assert "python3-slepc4py-complex" in run.stdout
     assert run.stdout.count("\n") == 1

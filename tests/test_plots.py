@@ -29,9 +29,17 @@ def packing():
 def row(n=64, p=1e-3, **others):
     """A packing with two contacts more than it needs."""
     return {
-        "particles": n, "pressure": p, "target": p, "potential": "harmonic", "phi": 0.84 + 2 * p,
-        "Z": 4 + 2 / n, "rattlers": 0, "contacts": 2 * n + 1, "lowest_eigenvalue": 1e-3, "proved": True,
-    } | others  # fmt: skip
+        "particles": n,
+        "pressure": p,
+        "target": p,
+        "potential": "harmonic",
+        "phi": 0.84 + 2 * p,
+        "Z": 4 + 2 / n,
+        "rattlers": 0,
+        "contacts": 2 * n + 1,
+        "lowest_eigenvalue": 1e-3,
+        "proved": True,
+    } | others
 
 
 def drawn(packing):
@@ -44,9 +52,7 @@ def drawn(packing):
 
 def test_importing_the_figures_loads_no_matplotlib():
     code = "import json, sys, petscjam.plots; print(json.dumps('matplotlib' in sys.modules))"
-    assert not json.loads(
-        subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
-    )
+    assert not json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
 
 
 # --- the file -----------------------------------------------------------------------------------------
@@ -99,9 +105,7 @@ def test_a_missing_folder_is_named(packing, tmp_path):
 def test_the_images_are_all_that_come_near_a_tilted_cell():
     points = np.random.default_rng(1).normal(scale=9, size=(6, 2))
     which, where = _images(TILTED, points, 0.7)
-    assert TILTED.fractional(where - points[which]) == pytest.approx(
-        np.rint(TILTED.fractional(where - points[which]))
-    )
+    assert TILTED.fractional(where - points[which]) == pytest.approx(np.rint(TILTED.fractional(where - points[which])))
     shifts = np.mgrid[-20:21, -20:21].reshape(2, -1).T @ TILTED.cell
     inside = np.array([[a, b] for a in np.linspace(0, 1, 60) for b in np.linspace(0, 1, 60)]) @ TILTED.cell
     for i, point in enumerate(points):
@@ -172,9 +176,7 @@ def test_many_disks_have_no_outlines(packing, monkeypatch):
     assert all(collection.get_rasterized() for collection in (backbone, rattlers, lines))
 
 
-@pytest.mark.parametrize(
-    ("proved", "text"), [(None, "not judged"), (True, "proved minimum"), (False, "not proved")]
-)
+@pytest.mark.parametrize(("proved", "text"), [(None, "not judged"), (True, "proved minimum"), (False, "not proved")])
 def test_the_verdict_is_written(packing, proved, text):
     judged = replace(packing, certificate=replace(packing.certificate, proved=proved))
     assert [t.get_text() for t in drawn(judged)[0].texts] == [text]
@@ -190,9 +192,11 @@ def test_a_tilted_packing_from_elsewhere(tmp_path):
 
 
 HISTORY = {
-    "evaluations": [1, 10, 20, 30], "phi": [0.86, 0.86, 0.85, 0.85],
-    "pressure": [0.1, 0.02, 0.0, 0.01], "force": [1.0, 1e-3, 0.0, 1e-10],
-}  # fmt: skip
+    "evaluations": [1, 10, 20, 30],
+    "phi": [0.86, 0.86, 0.85, 0.85],
+    "pressure": [0.1, 0.02, 0.0, 0.01],
+    "force": [1.0, 1e-3, 0.0, 1e-10],
+}
 
 
 @pytest.mark.parametrize(
@@ -223,18 +227,35 @@ def test_a_library_of_packings(tmp_path):
         packing = pj.prepare_packing(32, p, seed)
         network = pj.ContactNetwork.of(packing)
         inside = int((network.backbone[network.i] & network.backbone[network.j]).sum())
-        rows.append(row(32, network.pressure, target=p, phi=packing.phi, Z=network.Z,
-                        rattlers=network.rattlers, contacts=inside, proved=None))  # fmt: skip
+        rows.append(
+            row(
+                32,
+                network.pressure,
+                target=p,
+                phi=packing.phi,
+                Z=network.Z,
+                rattlers=network.rattlers,
+                contacts=inside,
+                proved=None,
+            )
+        )
     plot_library(rows, tmp_path / "library.png")
     (size,) = _sizes(rows)
     backbone = 32 - np.array([r["rattlers"] for r in rows])
     assert size.excess == pytest.approx(np.array([r["Z"] for r in rows]) - 4 + 2 / backbone)
 
 
-@pytest.mark.parametrize("change", [
-    {}, {"lowest_eigenvalue": None}, {"lowest_eigenvalue": -1e-3}, {"proved": False}, {"target": None},
-    {"contacts": 127},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"lowest_eigenvalue": None},
+        {"lowest_eigenvalue": -1e-3},
+        {"proved": False},
+        {"target": None},
+        {"contacts": 127},
+    ],
+)
 def test_a_library_of_one_packing(tmp_path, change, recwarn):
     plot_library([row(**change)], tmp_path / "one.png")
     assert not recwarn.list
@@ -272,9 +293,7 @@ def test_what_a_logarithm_hides_is_counted():
 
 def test_the_title_counts_verdicts():
     assert _summary([row()]) == "1 packing: 1 proved"
-    assert _summary([row(), row(proved=None), row(proved=False)]).endswith(
-        ": 1 proved, 1 not proved, 1 not judged"
-    )
+    assert _summary([row(), row(proved=None), row(proved=False)]).endswith(": 1 proved, 1 not proved, 1 not judged")
 
 
 def test_packings_that_are_not_jammed_are_counted_and_not_drawn(tmp_path):
@@ -321,11 +340,16 @@ def test_sizes_of_one_pressure_are_named_where_others_have_a_phi_J():
     assert r"N = 128 not drawn: fewer than two pressures, no $\phi_J$" in entries
 
 
-@pytest.mark.parametrize(("rows", "message"), [
-    ([], "no packings"), ([{"phi": 1.0}], "packing 0 lacks potential, particles"),
-    ([row(p=0.0)], "no packing is jammed"), ([row(contacts=0, rattlers=64)], "no packing is jammed"),
-    ([row(), row(potential="hertzian")], "harmonic, hertzian"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([], "no packings"),
+        ([{"phi": 1.0}], "packing 0 lacks potential, particles"),
+        ([row(p=0.0)], "no packing is jammed"),
+        ([row(contacts=0, rattlers=64)], "no packing is jammed"),
+        ([row(), row(potential="hertzian")], "harmonic, hertzian"),
+    ],
+)
 def test_rows_that_make_no_library(tmp_path, rows, message):
     with pytest.raises(pj.InputError, match=message):
         plot_library(rows, tmp_path / "none.png")
@@ -381,9 +405,7 @@ def test_errors_too_small_for_the_scatter_are_scaled_up():
 
 
 def test_errors_larger_than_the_scatter_are_believed():
-    assert fit_power(P, P, 0.2 * P).exponent_error == pytest.approx(
-        2 * fit_power(P, P, 0.1 * P).exponent_error
-    )
+    assert fit_power(P, P, 0.2 * P).exponent_error == pytest.approx(2 * fit_power(P, P, 0.1 * P).exponent_error)
 
 
 def test_a_missing_error_weighs_all_the_same():

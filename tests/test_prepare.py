@@ -10,30 +10,37 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from petscjam.box import Box
-from petscjam.errors import InputError, SolverError
+from petscjam.base.errors import InputError, SolverError
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.importers import import_packing
-from petscjam.network import ContactNetwork
-from petscjam.packing.certify import certify, elastic_tensor, hessian, negative_modes
-from petscjam.packing.minimise import METHODS, Enthalpy
-from petscjam.packing.newton import newton
-from petscjam.packing.packing import Packing
-from petscjam.packing.prepare import prepare_packing, relax_packing
-from petscjam.potential import POTENTIALS
+from petscjam.preparation.certify import certify, elastic_tensor, hessian, negative_modes
+from petscjam.preparation.minimise import METHODS, Enthalpy
+from petscjam.preparation.newton import newton
+from petscjam.preparation.prepare import prepare_packing, relax_packing
 from petscjam.response.moduli import complex_modulus
 
 DATA = Path(__file__).parent / "data"
 P = 1e-3
 EPS = np.finfo(float).eps
 CASES = [
-    dict(n=64), dict(n=256, pressure=1e-4), dict(n=64, pressure=0.1),
-    dict(n=64, potential_name="harmonic-relative"), dict(n=65), dict(n=8), dict(n=10),
+    dict(n=64),
+    dict(n=256, pressure=1e-4),
+    dict(n=64, pressure=0.1),
+    dict(n=64, potential_name="harmonic-relative"),
+    dict(n=65),
+    dict(n=8),
+    dict(n=10),
     dict(n=64, method="cg"),
-    dict(n=64, shear_stabilised=True), dict(n=64, potential_name="hertzian"),
+    dict(n=64, shear_stabilised=True),
+    dict(n=64, potential_name="hertzian"),
     dict(n=64, potential_name="hertzian-relative", shear_stabilised=True),
-    dict(n=64, ratio=1.0, polydispersity=0.1), dict(n=64, ratio=2.0, composition=0.7),
+    dict(n=64, ratio=1.0, polydispersity=0.1),
+    dict(n=64, ratio=2.0, composition=0.7),
     dict(n=64, pressure=1e-6),
-]  # fmt: skip
+]
 
 
 def random_disks(n: int, phi: float, seed: int = 5) -> Packing:
@@ -132,8 +139,14 @@ def test_progress_grows_to_one():
     assert len(seen) > 3 and 0 <= min(seen) < 0.7 and seen[-1] == 1 == max(seen)
 
 
-PACKED = [random_disks(8, 2.5), random_disks(3, 4.0), random_disks(64, 1.5), random_disks(64, 0.86),
-          tilted(random_disks(64, 1.2)), random_disks(9000, 0.9)]  # fmt: skip
+PACKED = [
+    random_disks(8, 2.5),
+    random_disks(3, 4.0),
+    random_disks(64, 1.5),
+    random_disks(64, 0.86),
+    tilted(random_disks(64, 1.2)),
+    random_disks(9000, 0.9),
+]
 
 
 @pytest.mark.parametrize("potential_name", ["harmonic", "hertzian-relative"])
@@ -207,9 +220,7 @@ def test_neighbour_list_never_misses_a_contact(n, growth):
 def test_fire_and_conjugate_gradients_and_newton_end_in_one_minimum():
     """From nearby, all three do; Newton's method converges quadratically."""
     packing = prepare_packing(64, P, seed=2)
-    shaken = replace(
-        packing, positions=packing.positions + 1e-7 * np.random.default_rng(0).normal(size=(64, 2))
-    )
+    shaken = replace(packing, positions=packing.positions + 1e-7 * np.random.default_rng(0).normal(size=(64, 2)))
     goal = (1e-13, 0.0, 1e-13)
     ends = []
     for method in (*METHODS.values(), newton):
@@ -265,7 +276,7 @@ def test_modes_that_cannot_be_computed_prove_nothing(monkeypatch):
     def fails(*arguments, **options):
         raise SolverError("no convergence")
 
-    monkeypatch.setattr("petscjam.packing.certify.lowest_modes", fails)
+    monkeypatch.setattr("petscjam.preparation.certify.lowest_modes", fails)
     c = certify(packing).certificate
     assert c.proved is False and c.negative_modes is None and c.max_force < 1e-9
 
@@ -302,9 +313,7 @@ def test_negative_modes_are_followed_downhill(shear_stabilised):
 
 def test_a_cell_that_yields_to_shear_is_followed_downhill():
     """Stabilising a shear-unstable packing ends in another cell, at the same pressure."""
-    unstable = next(
-        p for seed in range(1, 20) if (p := prepare_packing(32, P, seed)).certificate.shear_modulus < 0
-    )
+    unstable = next(p for seed in range(1, 20) if (p := prepare_packing(32, P, seed)).certificate.shear_modulus < 0)
     stable = relax_packing(unstable, P, shear_stabilised=True)
     assert stable.certificate.proved and stable.certificate.shear_modulus > 0
     assert stable.certificate.stress_error < 1e-9
@@ -379,17 +388,13 @@ def test_history_tells_the_preparation():
     assert history["force"][-1] < 1e-3 * history["force"][0]
 
 
-@pytest.mark.parametrize(
-    "options", [dict(ratio=1.4), dict(ratio=2.0, composition=0.25), dict(polydispersity=0.1)]
-)
+@pytest.mark.parametrize("options", [dict(ratio=1.4), dict(ratio=2.0, composition=0.25), dict(polydispersity=0.1)])
 def test_radii_are_as_asked(options):
     radii = prepare_packing(64, 1e-2, **options).radii
     small = int(64 * options.get("composition", 0.5))
     assert 2 * radii.mean() == pytest.approx(1, abs=0.03 if "polydispersity" in options else 1e-12)
     assert radii[small:].mean() / radii[:small].mean() == pytest.approx(options.get("ratio", 1.4), rel=0.05)
-    assert radii[:small].std() / radii[:small].mean() == pytest.approx(
-        options.get("polydispersity", 0), abs=0.03
-    )
+    assert radii[:small].std() / radii[:small].mean() == pytest.approx(options.get("polydispersity", 0), abs=0.03)
 
 
 @pytest.mark.parametrize("prestress", [True, False])
@@ -423,15 +428,27 @@ def test_hessian_is_the_derivative_of_the_force_to_second_order(potential_name):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (dict(n=7), "7"), (dict(n=64.5), "64.5"), (dict(pressure=0), "not 0"),
-        (dict(pressure=-1e-3), "-0.001"), (dict(pressure=0.7), "0.7"), (dict(pressure=np.nan), "nan"),
+        (dict(n=7), "7"),
+        (dict(n=64.5), "64.5"),
+        (dict(pressure=0), "not 0"),
+        (dict(pressure=-1e-3), "-0.001"),
+        (dict(pressure=0.7), "0.7"),
+        (dict(pressure=np.nan), "nan"),
         (dict(pressure=np.inf), "inf"),
-        (dict(pressure=1e-12), "1e-12"), (dict(pressure="1e-3"), "'1e-3'"), (dict(seed=-1), "-1"),
-        (dict(seed=1.5), "1.5"), (dict(method="newton"), "'newton'"), (dict(potential_name="lj"), "'lj'"),
-        (dict(ratio=0), "ratio .* not 0"), (dict(ratio=-1.4), "-1.4"), (dict(composition=1.2), "1.2"),
-        (dict(polydispersity=-0.1), "-0.1"), (dict(budget=0), "not 0"), (dict(n=1), "not 1"),
+        (dict(pressure=1e-12), "1e-12"),
+        (dict(pressure="1e-3"), "'1e-3'"),
+        (dict(seed=-1), "-1"),
+        (dict(seed=1.5), "1.5"),
+        (dict(method="newton"), "'newton'"),
+        (dict(potential_name="lj"), "'lj'"),
+        (dict(ratio=0), "ratio .* not 0"),
+        (dict(ratio=-1.4), "-1.4"),
+        (dict(composition=1.2), "1.2"),
+        (dict(polydispersity=-0.1), "-0.1"),
+        (dict(budget=0), "not 0"),
+        (dict(n=1), "not 1"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_is_named(arguments, named):
     with pytest.raises(InputError, match=named):
         prepare_packing(**arguments)
@@ -443,5 +460,5 @@ def test_unjammed_is_refused():
 
 
 def test_numba_waits_until_used():
-    code = "import sys, petscjam.packing.prepare; sys.exit('numba' in sys.modules)"
+    code = "import sys, petscjam.preparation.prepare; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -45,9 +45,7 @@ def test_a_computation_goes_on_where_nobody_reads(packing, tmp_path, environment
 def test_what_could_not_be_printed_is_said(packing, tmp_path, environment):
     given = [*COMMAND, "moduli", packing, "--omega", "1,2", "-o", tmp_path / "g.h5"]
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            given, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120
-        )
+        done = subprocess.run(given, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120)
     assert done.returncode == 1
     assert done.stderr.endswith("petscjam: standard output: No space left on device\n")
     assert "Traceback" not in done.stderr
@@ -64,9 +62,11 @@ def test_a_command_without_streams(packing, environment):
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_characters_that_the_terminal_lacks_are_replaced(environment, encoding):
     done = subprocess.run(
-        [*COMMAND, "shear", "--help"], capture_output=True, timeout=120,
+        [*COMMAND, "shear", "--help"],
+        capture_output=True,
+        timeout=120,
         env={**environment, "PYTHONIOENCODING": encoding},
-    )  # fmt: skip
+    )
     assert done.returncode == 0
     assert done.stderr == b""
     assert b"--particles N,?" in done.stdout
@@ -130,8 +130,9 @@ def test_the_launcher_of_another_mpi_is_refused(packing, tmp_path, monkeypatch, 
     assert pj.complex_modulus(pj.Packing.read(packing), [1.0], comm=MPI.COMM_SELF).G0 > 0
 
 
-@pytest.mark.parametrize("variables", [{"SLURM_NTASKS": "4"}, {"PMI_SIZE": "1", "SLURM_STEP_NUM_TASKS": "4"},
-                                       {"PMI_SIZE": "many"}])  # fmt: skip
+@pytest.mark.parametrize(
+    "variables", [{"SLURM_NTASKS": "4"}, {"PMI_SIZE": "1", "SLURM_STEP_NUM_TASKS": "4"}, {"PMI_SIZE": "many"}]
+)
 def test_one_process_in_a_job_of_several_is_no_mistake(monkeypatch, variables):
     """A batch script is alone, and the innermost launcher counts."""
     from petscjam.parallel.comm import world
@@ -142,7 +143,7 @@ def test_one_process_in_a_job_of_several_is_no_mistake(monkeypatch, variables):
 
 
 LOOP = """
-from petscjam.compiled import njit
+from petscjam.base.compiled import njit
 
 @njit(cache=True)
 def double(x):
@@ -199,8 +200,7 @@ def test_no_folder_for_the_cache(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "variable",
-    [("NUMBA_NUM_THREADS", "-1"), ("NUMBA_THREADING_LAYER", "tbb"), ("NUMBA_THREADING_LAYER", "x")],
+    "variable", [("NUMBA_NUM_THREADS", "-1"), ("NUMBA_THREADING_LAYER", "tbb"), ("NUMBA_THREADING_LAYER", "x")]
 )
 def test_a_numba_that_cannot_start_is_a_line(tmp_path, environment, variable):
     if variable[1] == "tbb" and importlib.util.find_spec("tbb"):
@@ -233,9 +233,12 @@ print(os.waitstatus_to_exitcode(os.wait()[1]))
 def test_threads_in_a_forked_child_are_refused(environment):
     """They hang or abort (OpenMP) there; without threads it works."""
     done = subprocess.run(
-        [sys.executable, "-c", FORKED], env={**environment, "NUMBA_NUM_THREADS": "2"}, capture_output=True,
-        text=True, timeout=120,
-    )  # fmt: skip
+        [sys.executable, "-c", FORKED],
+        env={**environment, "NUMBA_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("threads = 2: this process was forked")
     assert done.stdout.endswith("3\n")
@@ -289,8 +292,10 @@ def test_no_limit_is_no_limit(tmp_path, monkeypatch):
     from petscjam.parallel import container
 
     monkeypatch.setattr(container, "ROOT", tmp_path)
-    unlimited = {"sys/fs/cgroup/memory/memory.limit_in_bytes": str(2**63 - 4096),
-                 "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "-1\n"}  # fmt: skip
+    unlimited = {
+        "sys/fs/cgroup/memory/memory.limit_in_bytes": str(2**63 - 4096),
+        "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "-1\n",
+    }
     written(tmp_path, OLDER | unlimited)
     assert container.memory_left() > 1e12
     assert container.cores() == float("inf")
@@ -374,9 +379,7 @@ def test_a_run_that_goes_on_elsewhere_says_that_bits_may_differ(tmp_path, monkey
     elsewhere = {"numba": "0.1", "processor": "pentium"}
     with monkeypatch.context() as patch:
         patch.setattr(runs, "build", lambda: elsewhere)
-        with pytest.warns(
-            UserWarning, match=f"made with numba {here['numba']}, now 0.1; processor .*bits may differ"
-        ):
+        with pytest.warns(UserWarning, match=f"made with numba {here['numba']}, now 0.1; processor .*bits may differ"):
             pj.md.shear(**short, strain=0.3)
     assert elsewhere.items() <= pj.md.read(out).settings.items()
     given = ["--particles", "16", "--rate", "1e-2", "--strain", "0.4", "--row-time", "5", "--resume"]

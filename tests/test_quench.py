@@ -6,20 +6,34 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.base.files import atomic_h5
 from petscjam.cli import main
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.potential import power_law
 from petscjam.md.quench import quench, snapshot
 from petscjam.md.result import BLOCKS, ROWS, SHAPES, Run, write_run
 from petscjam.md.state import State, random_state
-from petscjam.network import ContactNetwork
-from petscjam.potential import power_law
-from petscjam.storage import atomic_h5
 
 SETTINGS = {
-    "model": "CD", "law": "ContactDamping", "Q": 2.0, "potential": "harmonic-relative", "drag": 0.0,
-    "spin_drag": 0.0, "seed": 3, "protocol": "steady", "rate": 1e-3, "strain0": 0.0, "time0": 0.0,
-    "start": "random", "particles": 64, "phi": 0.9, "dt": 0.05, "integrator": "heun", "row_steps": 100,
+    "model": "CD",
+    "law": "ContactDamping",
+    "Q": 2.0,
+    "potential": "harmonic-relative",
+    "drag": 0.0,
+    "spin_drag": 0.0,
+    "seed": 3,
+    "protocol": "steady",
+    "rate": 1e-3,
+    "strain0": 0.0,
+    "time0": 0.0,
+    "start": "random",
+    "particles": 64,
+    "phi": 0.9,
+    "dt": 0.05,
+    "integrator": "heun",
+    "row_steps": 100,
     "threads": 1,
-}  # fmt: skip
+}
 
 
 def run_of(state):
@@ -119,8 +133,11 @@ def test_provenance_says_which_flow(jammed, tmp_path):
     quench(run_of(flow)).write(tmp_path / "p.h5")
     known = pj.Packing.read(tmp_path / "p.h5").provenance
     assert {key: known[key] for key in ("model", "Q", "seed", "potential")} == {
-        "model": "CD", "Q": 2.0, "seed": 3, "potential": "harmonic-relative",
-    }  # fmt: skip
+        "model": "CD",
+        "Q": 2.0,
+        "seed": 3,
+        "potential": "harmonic-relative",
+    }
     assert known["rate"] == 2e-3
     assert known["strain"] == pytest.approx(1.05)
     assert known["phi"] == pytest.approx(flow.phi)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import petscjam as pj
-from petscjam.ensemble import survey, sweep
 from petscjam.figures import make_figure
+from petscjam.io.jobs import survey, sweep
 from petscjam.md.grid import grid, run_grid
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -62,10 +62,8 @@ ENTRIES = {
     "run_grid": lambda p, odd, folder, **c: run_grid(
         grid(["CD"], [16], [0.8], [1.0], [1e-2], [1 + odd]), folder / "grid", pj.md.run, log=print, **c
     ),
-    "make_figure": lambda p, odd, folder, **c: make_figure(
-        "bt1", "small", folder / "figures", overwrite=odd, **c
-    ),
-}  # fmt: skip
+    "make_figure": lambda p, odd, folder, **c: make_figure("bt1", "small", folder / "figures", overwrite=odd, **c),
+}
 
 
 @pytest.mark.parallel(2)
@@ -82,7 +80,5 @@ def test_ranks_that_disagree_are_told(comm, tmp_path, entry):
 def test_the_list_is_that_of_the_api():
     """Whatever has a communicator is in the list above."""
     public = {name: getattr(pj, name) for name in pj.__all__}
-    collective = {
-        name for name, one in public.items() if callable(one) and "comm" in signature(one).parameters
-    }
+    collective = {name for name, one in public.items() if callable(one) and "comm" in signature(one).parameters}
     assert collective <= {entry.split(",")[0] for entry in ENTRIES}

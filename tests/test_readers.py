@@ -17,23 +17,21 @@ from scipy.io import netcdf_file
 from test_io import JAMBASH, refuses, same_bits
 
 import petscjam as pj
-from petscjam.box import Box
+from petscjam.base.arguments import parsed, parsed_whole
+from petscjam.base.errors import InputError
 from petscjam.cli import main
-from petscjam.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.exporters import export_packing, extended_xyz
 from petscjam.io.importers import imbalance, import_packing
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
-from petscjam.potential import POTENTIALS
-from petscjam.values import parsed, parsed_whole
 
 CELL = np.array([[9.0, 0], [1.5, 8.0]])
 POSITIONS = np.array([[0.25, 0.5], [3.125, 2.0], [8.0, 7.5]])
 RADII = np.array([0.5, 0.5, 0.7])
 EDGE_LENGTHS = np.array([9.0, 8.0])
-HEADER = (
-    'Lattice="9 0 0 1.5 8 0 0 0 1" Properties=species:S:1:pos:R:3:radius:R:1 pbc="T T F" potential=harmonic'
-)
+HEADER = 'Lattice="9 0 0 1.5 8 0 0 0 1" Properties=species:S:1:pos:R:3:radius:R:1 pbc="T T F" potential=harmonic'
 ROWS = "A 0.25 0.5 0 0.5\nA 3.125 2 0 0.5\nB 8 7.5 0 0.7\n"
 XYZ = f"3\n{HEADER}\n{ROWS}"
 DATA = """\
@@ -108,9 +106,7 @@ def test_numbers_of_C_and_Fortran(text, value):
     assert parsed(text) == value
 
 
-@pytest.mark.parametrize(
-    "text", ["1_5", "nan", "inf", "-Infinity", "1e999", "", "0x10", "1,5", "١", "1e", "1 5"]
-)
+@pytest.mark.parametrize("text", ["1_5", "nan", "inf", "-Infinity", "1e999", "", "0x10", "1,5", "١", "1e", "1 5"])
 def test_no_numbers(text):
     with pytest.raises(ValueError, match="is not a finite number"):
         parsed(text)
@@ -245,11 +241,7 @@ def test_a_column_twice(write):
 
 
 def test_an_item_or_a_keyword_twice(write):
-    refuses(
-        write(DUMP.replace("ITEM: ATOMS", "ITEM: NUMBER OF ATOMS\n3\nITEM: ATOMS")),
-        "line 9",
-        "NUMBER OF ATOMS",
-    )
+    refuses(write(DUMP.replace("ITEM: ATOMS", "ITEM: NUMBER OF ATOMS\n3\nITEM: ATOMS")), "line 9", "NUMBER OF ATOMS")
     refuses(write(DATA.replace("0 8 ylo", "0 7 ylo yhi\n0 8 ylo")), "line 8", "ylo yhi", "twice")
     refuses(write(DATA.replace("3 atoms\n", "3 atoms\n4 atoms\n")), "line 4", "atoms", "twice")
     refuses(write(DATA + "\nAtoms # sphere\n\n1 1 1 1 0 0 0\n"), "section Atoms", "twice")
@@ -257,9 +249,7 @@ def test_an_item_or_a_keyword_twice(write):
 
 @pytest.mark.parametrize("name", ["data", "dump"])
 @pytest.mark.parametrize(
-    ("new", "word"),
-    [("2 1", "id 2 is twice"), ("1.5 1", "id 1.5"), ("-1 1", "id -1")],
-    ids=["twice", "half", "-1"],
+    ("new", "word"), [("2 1", "id 2 is twice"), ("1.5 1", "id 1.5"), ("-1 1", "id -1")], ids=["twice", "half", "-1"]
 )
 def test_ids_that_cannot_be(write, name, new, word):
     refuses(write(re.sub(r"(?m)^1 1 ", new + " ", TEXTS[name])), word)
@@ -268,13 +258,18 @@ def test_ids_that_cannot_be(write, name, new, word):
 @pytest.mark.parametrize(
     ("name", "old", "new", "word"),
     [
-        ("data", "0 9 xlo", "9 0 xlo", "xlo = 9"), ("data", "0 8 ylo", "8 0 ylo", "ylo = 8"),
-        ("dump", "0 10.5 1.5", "10.5 0 1.5", "xlo = 10.5"), ("dump", "0 8 0", "8 0 0", "ylo = 8"),
-        ("data", "3 atoms", "3.5 atoms", "3.5 atoms"), ("dump", "ATOMS\n3", "ATOMS\n3.5", "line 4"),
-        ("dump", "ATOMS\n3", "ATOMS\n-3", "-3"), ("xyz", "3\nL", "-3\nL", "line 1"),
-        ("xyz", "3\nL", "3.0\nL", "line 1"), ("data", "0 9 xlo", "0 0 9 xlo", "3 numbers"),
+        ("data", "0 9 xlo", "9 0 xlo", "xlo = 9"),
+        ("data", "0 8 ylo", "8 0 ylo", "ylo = 8"),
+        ("dump", "0 10.5 1.5", "10.5 0 1.5", "xlo = 10.5"),
+        ("dump", "0 8 0", "8 0 0", "ylo = 8"),
+        ("data", "3 atoms", "3.5 atoms", "3.5 atoms"),
+        ("dump", "ATOMS\n3", "ATOMS\n3.5", "line 4"),
+        ("dump", "ATOMS\n3", "ATOMS\n-3", "-3"),
+        ("xyz", "3\nL", "-3\nL", "line 1"),
+        ("xyz", "3\nL", "3.0\nL", "line 1"),
+        ("data", "0 9 xlo", "0 0 9 xlo", "3 numbers"),
     ],
-)  # fmt: skip
+)
 def test_boxes_and_numbers_that_cannot_be(write, name, old, new, word):
     assert old in TEXTS[name]
     refuses(write(TEXTS[name].replace(old, new, 1)), word)
@@ -325,21 +320,25 @@ def test_bpm_sphere(write):
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ('pbc="T T F"', 'pbc="1 1 0"'), ('pbc="T T F"', "pbc=[T, T, F]"), ('pbc="T T F"', ""),
+        ('pbc="T T F"', 'pbc="1 1 0"'),
+        ('pbc="T T F"', "pbc=[T, T, F]"),
+        ('pbc="T T F"', ""),
         ('pbc="T T F"', 'pbc="True True False"'),
-        ('pbc="T T F"', "pbc = 'T T F'"), ('pbc="T T F"', "pbc={T T T}"),
+        ('pbc="T T F"', "pbc = 'T T F'"),
+        ('pbc="T T F"', "pbc={T T T}"),
         ('Lattice="9 0 0 1.5 8 0 0 0 1"', 'Lattice="9 0 1.5 8"'),
         ('Lattice="9 0 0 1.5 8 0 0 0 1"', "Lattice='9.0 0 0 1.5 8.0 0 0 0 1'"),
         ('Lattice="9 0 0 1.5 8 0 0 0 1"', "Lattice = [[9, 0, 0], [1.5, 8, 0], [0, 0, 1]]"),
         ('Lattice="9 0 0 1.5 8 0 0 0 1"', "Lattice=[[9, 0], [1.5, 8]]"),
         ('Lattice="9 0 0 1.5 8 0 0 0 1"', '"Lattice" = {9 0 0 1.5 8 0 0 0 1}'),
-        ("Lattice", "by O'Hern Lattice"), ("Lattice", "author=O'Hern Lattice"),
-        ("Lattice", '''note="O'Hern's \\"jammed\\" disks, a=b" Lattice'''),
+        ("Lattice", "by O'Hern Lattice"),
+        ("Lattice", "author=O'Hern Lattice"),
+        ("Lattice", """note="O'Hern's \\"jammed\\" disks, a=b" Lattice"""),
         ("Lattice", "flag note='a b' Lattice"),
         ("potential=harmonic", 'potential="harmonic"'),
         ("potential=harmonic", "potential = harmonic energy=1e-3"),
     ],
-)  # fmt: skip
+)
 def test_legal_forms_of_the_comment_line(write, old, new):
     assert old in XYZ
     assert is_it(import_packing(write(XYZ.replace(old, new, 1))))
@@ -397,8 +396,12 @@ def lifted(name, tmp_path, z):
     elif name == "GSD":
         write_gsd(tmp_path / "p", position=np.array([[0, 0, 0], [1, 0.5, z]]), diameter=[1, 1.5])
     else:
-        write_h5md(tmp_path / "p", x=np.pad(POSITIONS, ((0, 0), (0, 1))) + np.outer([0, 0, z], [0, 0, 1]),
-                   edges=np.diag([9.0, 8.0, 1.0]), radius=RADII)  # fmt: skip
+        write_h5md(
+            tmp_path / "p",
+            x=np.pad(POSITIONS, ((0, 0), (0, 1))) + np.outer([0, 0, z], [0, 0, 1]),
+            edges=np.diag([9.0, 8.0, 1.0]),
+            radius=RADII,
+        )
     return tmp_path / "p"
 
 
@@ -468,10 +471,7 @@ def test_diameters_of_disks_and_shapes_agree(tmp_path):
     "shape", [SQUARE, {"type": "Ellipsoid", "a": 1.0, "b": 0.5, "c": 1.0}, {"type": "Sphere"}, sphere("1")]
 )
 def test_shapes_that_are_no_disks(tmp_path, shape):
-    refuses(
-        write_gsd(tmp_path / "p.gsd", diameter=[1.0, 1.4], type_shapes=[shape, sphere(1.4)]),
-        "type A is no disk",
-    )
+    refuses(write_gsd(tmp_path / "p.gsd", diameter=[1.0, 1.4], type_shapes=[shape, sphere(1.4)]), "type A is no disk")
 
 
 def test_shapes_that_no_disk_has_do_not_matter(tmp_path):
@@ -485,8 +485,10 @@ EDGES = [0.0, 0.25, 0.5, 0.6, 1 - 1e-12, 1 - 1e-9, 1 - 3e-8, 1 - 1e-16, 1e-17, -
 @settings(max_examples=40)
 @given(
     st.lists(st.tuples(*[st.sampled_from(EDGES) | st.floats(0, 1)] * 2), min_size=1, max_size=20),
-    st.floats(-3, 3), st.floats(0.1, 10), st.integers(-8, 8),
-)  # fmt: skip
+    st.floats(-3, 3),
+    st.floats(0.1, 10),
+    st.integers(-8, 8),
+)
 def test_gsd_lies_in_the_cell_in_single_precision(tmp_path_factory, fractions, tilt, height, power):
     """As a program finds it that computes in single precision, and one that computes in double."""
     cell = 10.0**power * np.array([[1, 0], [tilt, height]])
@@ -520,7 +522,7 @@ def without_radii(name, tmp_path):
         "xyz of types": xyz.replace("species:S", "type:I"),
         "data": re.sub(r"(?m)^(\d \d) 1(\.4)? 1 ", r"\1 ", DATA.replace("# sphere", "# atomic")),
         "dump": DUMP.replace(" radius", ""),
-    }  # fmt: skip
+    }
     path.write_text(re.sub(r"(\d 0) 0\.[57]\n", r"\1\n", texts[name]))
     return path
 
@@ -542,11 +544,10 @@ def test_diameters_that_do_not_fit_the_types(tmp_path, name):
     for diameters, words in (
         ({"1": 1.0}, ["type 2", "no diameter"]),
         ({"1": 1.0, "2": 1.4, "3": 2.0}, ["type 3", "occurs nowhere"]),
-        ({"1": 1.0, "2": 0.0}, ["radius of disk"]), ({}, ["type 1", "no diameter"]),
-    ):  # fmt: skip
-        refuses(
-            path, *words, read=lambda path, diameters=diameters: import_packing(path, diameters=diameters)
-        )
+        ({"1": 1.0, "2": 0.0}, ["radius of disk"]),
+        ({}, ["type 1", "no diameter"]),
+    ):
+        refuses(path, *words, read=lambda path, diameters=diameters: import_packing(path, diameters=diameters))
 
 
 @pytest.mark.parametrize("text", [*TEXTS.values(), JAMBASH.read_text()], ids=[*TEXTS, "jamBashBulk"])
@@ -699,16 +700,20 @@ def test_a_damaged_file_of_ours_is_not_taken_for_another(tmp_path, packing):
 
 def dump_of(packing, digits="%.17g", size="%.17g"):
     cell, rows = packing.box.cell, []
-    for i, ((x, y), radius) in enumerate(
-        zip(packing.positions.tolist(), packing.radii.tolist(), strict=True), 1
-    ):
+    for i, ((x, y), radius) in enumerate(zip(packing.positions.tolist(), packing.radii.tolist(), strict=True), 1):
         rows.append(f"{i} 1 {digits} {digits} 0 {size}" % (x, y, radius))
     a, b, tilt = cell[0, 0], cell[1, 1], cell[1, 0]
-    return "\n".join([
-        "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS", str(len(packing)), "ITEM: BOX BOUNDS xy xz yz pp pp pp",
-        f"0 {float(a + tilt)!r} {float(tilt)!r}\n0 {float(b)!r} 0\n{-b / 2:.3g} {b / 2:.3g} 0",
-        "ITEM: ATOMS id type x y z radius", *rows, "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS",
+            str(len(packing)),
+            "ITEM: BOX BOUNDS xy xz yz pp pp pp",
+            f"0 {float(a + tilt)!r} {float(tilt)!r}\n0 {float(b)!r} 0\n{-b / 2:.3g} {b / 2:.3g} 0",
+            "ITEM: ATOMS id type x y z radius",
+            *rows,
+            "",
+        ]
+    )
 
 
 def scaled(packing, unit):
@@ -855,9 +860,16 @@ def test_info_takes_no_index_of_what_is_no_packing(tmp_path, capfd):
 
 @pytest.mark.parametrize(
     ("name", "start"),
-    [("p.gsd", b"\xdf\x65"), ("p.xyz", b"16\n"), ("p.extxyz", b"16\n"), ("p.h5", b"\x89HDF"),
-     ("p.h5md", b"\x89HDF"), ("p.GSD", b"\xdf\x65"), ("p", b"16\n")],
-)  # fmt: skip
+    [
+        ("p.gsd", b"\xdf\x65"),
+        ("p.xyz", b"16\n"),
+        ("p.extxyz", b"16\n"),
+        ("p.h5", b"\x89HDF"),
+        ("p.h5md", b"\x89HDF"),
+        ("p.GSD", b"\xdf\x65"),
+        ("p", b"16\n"),
+    ],
+)
 def test_the_ending_decides(packing, tmp_path, name, start):
     export_packing(packing, tmp_path / name)
     assert (tmp_path / name).read_bytes().startswith(start)
@@ -868,9 +880,14 @@ def test_the_ending_decides(packing, tmp_path, name, start):
 
 @pytest.mark.parametrize(
     ("name", "to", "words"),
-    [("p.gsd", "xyz", "gsd, not of xyz"), ("p.h5", "gsd", "h5md, not of gsd"), ("p.dump", None, "'.dump'"),
-     ("p.csv", None, "'csv' is unknown"), ("p.csv", "xyz", "csv, not of xyz")],
-)  # fmt: skip
+    [
+        ("p.gsd", "xyz", "gsd, not of xyz"),
+        ("p.h5", "gsd", "h5md, not of gsd"),
+        ("p.dump", None, "'.dump'"),
+        ("p.csv", None, "'csv' is unknown"),
+        ("p.csv", "xyz", "csv, not of xyz"),
+    ],
+)
 def test_an_ending_that_does_not_fit_is_refused(packing, tmp_path, name, to, words):
     with pytest.raises(InputError, match=words):
         export_packing(packing, tmp_path / name, to=to)

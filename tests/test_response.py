@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam import reference
-from petscjam.damping import LAWS
-from petscjam.kinematics import STRAINS
+from petscjam.reference.linear import linear as reference
+from petscjam.rows.damping import LAWS
+from petscjam.rows.kinematics import STRAINS
 
 DATA = Path(__file__).parent / "data"
 OMEGA = np.geomspace(1e-4, 1e3, 8)
 EVERY_LAW = [
-    pj.ContactDamping(), pj.ContactDamping(rotations=False), pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(beta=0.03), pj.StokesDrag(eta_fluid=0.5), pj.StokesDrag(eta_fluid=0.0),
-]  # fmt: skip
+    pj.ContactDamping(),
+    pj.ContactDamping(rotations=False),
+    pj.ContactDamping(beta=0.0),
+    pj.ContactDamping(beta=0.03),
+    pj.StokesDrag(eta_fluid=0.5),
+    pj.StokesDrag(eta_fluid=0.0),
+]
 
 
 def jax_md(index=0):
@@ -32,13 +36,9 @@ def with_a_rattler():
     """The sixteen disks, and in a hole between them a small seventeenth that touches nobody."""
     packing = sixteen()
     grid = packing.box.cell.T @ np.mgrid[0:1:60j, 0:1:60j].reshape(2, -1)
-    gaps = [
-        (np.hypot(*packing.box.minimum_image(packing.positions - x).T) - packing.radii).min() for x in grid.T
-    ]
+    gaps = [(np.hypot(*packing.box.minimum_image(packing.positions - x).T) - packing.radii).min() for x in grid.T]
     x, gap = grid.T[np.argmax(gaps)], max(gaps)
-    return replace(
-        packing, positions=[*packing.positions, x], radii=[*packing.radii, 0.9 * gap], provenance={}
-    )
+    return replace(packing, positions=[*packing.positions, x], radii=[*packing.radii, 0.9 * gap], provenance={})
 
 
 def touching_rattler(overlap=1e-9):
@@ -66,9 +66,7 @@ def twin(packing, law, omega, strain, prestress):
     return G
 
 
-PACKINGS = {
-    "jamBashBulk": sixteen, "jax-md": jax_md, "rattler": with_a_rattler, "touching rattler": touching_rattler,
-}  # fmt: skip
+PACKINGS = {"jamBashBulk": sixteen, "jax-md": jax_md, "rattler": with_a_rattler, "touching rattler": touching_rattler}
 
 
 @pytest.mark.parametrize("prestress", [True, False])
@@ -268,19 +266,16 @@ def test_two_disks_that_meet_through_two_images():
 
 def test_conjugate_at_negative_frequency():
     """A(−ω) = A(ω)*, so the solution is conjugate: checked on the assembled pencil."""
-    from petscjam.kinematics import SIMPLE_SHEAR
     from petscjam.parallel.comm import resolve
     from petscjam.parallel.solver import direct_solver
     from petscjam.response.matrices import assembled
     from petscjam.response.problem import LinearProblem
+    from petscjam.rows.kinematics import SIMPLE_SHEAR
 
     comm = resolve()
     problem = LinearProblem(jax_md(), pj.ContactDamping(), [SIMPLE_SHEAR], True, comm)
     dofs = problem.number(problem.active)
-    with (
-        assembled(problem.K, problem.B, dofs, comm) as pencil,
-        direct_solver(comm, "test_", definite=False) as solver,
-    ):
+    with assembled(problem.K, problem.B, dofs, comm) as pencil, direct_solver(comm, "test_", definite=False) as solver:
         solutions = []
         for omega in (0.3, -0.3):
             solver.factor(pencil.combine(1, 1j * omega))

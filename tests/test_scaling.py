@@ -50,9 +50,7 @@ def test_so_it_is_where_few_packings_scatter_more_near_jamming():
     scatter = np.geomspace(0.3, 0.1, 7)
     pulls = []
     for _ in range(200):
-        samples = [
-            np.concatenate(packings(random, 6, [p], scatter=s)) for p, s in zip(P, scatter, strict=True)
-        ]
+        samples = [np.concatenate(packings(random, 6, [p], scatter=s)) for p, s in zip(P, scatter, strict=True)]
         fit = power_law(P, samples, resamples=300, estimator="median")
         pulls.append((fit.exponent - 0.5) / fit.error)
     assert 0.55 < within(pulls) < 0.8
@@ -163,25 +161,34 @@ def test_a_negative_modulus_counts_where_no_mean_of_those_drawn_is_negative():
 TWO = [[1, 2, 3], [4, 5, 6]]
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    (([1, 2, 3], TWO), "3 x, but 2 sets"), (([1, 1], TWO), "1 different x"),
-    (([1, 2], TWO, (1.5, 3)), r"1 different x in 1.5 … 3"), (([], []), "0 different x"),
-    (([0, 2], TWO), "x must be above 0, not 0"), (([1, -2], TWO), "not -2"), (([1, np.nan], TWO), "not nan"),
-    (([1, 2], [[1, 2, np.nan], [3, 4]]), "x = 1: a value is nan"),
-    (([1, 2], [[1, 2], [np.inf, 4]]), "x = 2: a value is inf"),
-    (([1, 2], [[1, 2], [3]]), "x = 2: 1 packings"), (([1, 2], [[1, 2], 3.0]), "x = 2: 0 packings"),
-    (([1, 2], [[1, 2], [3, 3, 3]]), "x = 2: 3 packings do not differ"),
-    (([1, 2], [[1, 2], [-1, -2]]), "x = 2: a mean over packings is -2, not above 0"),
-    (([1, 2], [[1, 2, -1], [3, 4]]), "x = 1: a mean over packings is -1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (([1, 2, 3], TWO), "3 x, but 2 sets"),
+        (([1, 1], TWO), "1 different x"),
+        (([1, 2], TWO, (1.5, 3)), r"1 different x in 1.5 … 3"),
+        (([], []), "0 different x"),
+        (([0, 2], TWO), "x must be above 0, not 0"),
+        (([1, -2], TWO), "not -2"),
+        (([1, np.nan], TWO), "not nan"),
+        (([1, 2], [[1, 2, np.nan], [3, 4]]), "x = 1: a value is nan"),
+        (([1, 2], [[1, 2], [np.inf, 4]]), "x = 2: a value is inf"),
+        (([1, 2], [[1, 2], [3]]), "x = 2: 1 packings"),
+        (([1, 2], [[1, 2], 3.0]), "x = 2: 0 packings"),
+        (([1, 2], [[1, 2], [3, 3, 3]]), "x = 2: 3 packings do not differ"),
+        (([1, 2], [[1, 2], [-1, -2]]), "x = 2: a mean over packings is -2, not above 0"),
+        (([1, 2], [[1, 2, -1], [3, 4]]), "x = 1: a mean over packings is -1"),
+    ],
+)
 def test_no_power_law(given, message):
     with pytest.raises(pj.InputError, match=message):
         power_law(*given)
 
 
-@pytest.mark.parametrize(("settings", "message"), [
-    ({"estimator": "mode"}, "'mode' is not one of mean, median"), ({"resamples": 1}, "1 resamples"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"estimator": "mode"}, "'mode' is not one of mean, median"), ({"resamples": 1}, "1 resamples")],
+)
 def test_no_such_settings(settings, message):
     with pytest.raises(pj.InputError, match=message):
         power_law([1, 2], TWO, **settings)
@@ -211,10 +218,15 @@ def test_a_solid_of_kelvin_and_voigt_has_slopes_0_and_1():
     assert local_slope(lambda w: s(w).imag, omega) == pytest.approx(1, abs=1e-7)
 
 
-@pytest.mark.parametrize(("f", "x", "message"), [
-    (np.sqrt, [1, 0], "x must be above 0, not 0"), (np.negative, [2.0], "f must be above 0, not -2"),
-    (lambda x: x + 1j, [1.0], "f is complex"), (lambda x: x * np.nan, [1.0], "not nan"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("f", "x", "message"),
+    [
+        (np.sqrt, [1, 0], "x must be above 0, not 0"),
+        (np.negative, [2.0], "f must be above 0, not -2"),
+        (lambda x: x + 1j, [1.0], "f is complex"),
+        (lambda x: x * np.nan, [1.0], "not nan"),
+    ],
+)
 def test_no_slope(f, x, message):
     with pytest.raises(pj.InputError, match=message):
         local_slope(f, x)
@@ -287,18 +299,23 @@ def test_quality_of_curves_that_agree_is_1_however_their_grids_lie(shift, alike)
     root = np.linalg.svd(full)[0] * np.sqrt(np.linalg.svd(full)[1])
     variance, covariance = neighbours([[full], [full]])
     found = [
-        quality(x, [(root @ random.standard_normal(12))[None] for _ in x], variance, covariance)
-        for _ in range(1500)
+        quality(x, [(root @ random.standard_normal(12))[None] for _ in x], variance, covariance) for _ in range(1500)
     ]
     assert np.mean(found) == pytest.approx(1, abs=0.1)
 
 
-@pytest.mark.parametrize(("curves", "expected"), [
-    ([(0, 1), (0.4, 1.4)], 0.6), ([(0, 4), (3.5, 4.5)], 0.5), ([(0, 1), (0.5, 4.5)], 0.5),
-    ([(0, 1), (1.5, 2.5)], -0.5),
-    ([(0, 1), (0.9, 1.9), (1.6, 2.6)], 0.1), ([(0, 10), (1, 2), (3, 4)], 1.0),
-    ([(0, 1), (0, 1), (3, 4), (3, 4)], -2.0),  # two pairs that coincide have nothing in common
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("curves", "expected"),
+    [
+        ([(0, 1), (0.4, 1.4)], 0.6),
+        ([(0, 4), (3.5, 4.5)], 0.5),
+        ([(0, 1), (0.5, 4.5)], 0.5),
+        ([(0, 1), (1.5, 2.5)], -0.5),
+        ([(0, 1), (0.9, 1.9), (1.6, 2.6)], 0.1),
+        ([(0, 10), (1, 2), (3, 4)], 1.0),
+        ([(0, 1), (0, 1), (3, 4), (3, 4)], -2.0),  # two pairs that coincide have nothing in common
+    ],
+)
 def test_overlap_is_the_weakest_link(curves, expected):
     for turned in (curves, curves[::-1]):
         assert overlap([np.linspace(*ends, 5) for ends in turned]) == pytest.approx(expected)
@@ -330,9 +347,7 @@ def viscosities(random, n=6):
 
 @cache
 def collapsed(**settings):
-    return collapse(
-        moduli(np.random.default_rng(10)), critical, {"mu": 0.4, "lam": 1.2}, resamples=40, **settings
-    )
+    return collapse(moduli(np.random.default_rng(10)), critical, {"mu": 0.4, "lam": 1.2}, resamples=40, **settings)
 
 
 def test_storage_and_loss_collapse_with_the_exponents_put_in():
@@ -361,9 +376,7 @@ def test_the_error_is_the_standard_error_of_two_plateaus():
     random = np.random.default_rng(12)
     heights = [3 * np.exp(0.1 * random.standard_normal(100)), 9 * np.exp(0.2 * random.standard_normal(100))]
     x = np.geomspace(1, 1e4, 12)
-    curves = [
-        Curve(x / N**2, h[:, None] * np.ones(12), {"N": N}) for N, h in zip((10, 30), heights, strict=True)
-    ]
+    curves = [Curve(x / N**2, h[:, None] * np.ones(12), {"N": N}) for N, h in zip((10, 30), heights, strict=True)]
     found = collapse(curves, finite_size, {"a": 0.5}, resamples=400)
     means = [h.mean() for h in heights]
     errors = [h.std(ddof=1) / 10 / h.mean() for h in heights]
@@ -384,9 +397,7 @@ def test_a_collapse_finds_the_truth_within_its_error_as_often_as_an_error_promis
 
 
 def test_both_exponents_of_finite_size_may_be_free():
-    found = collapse(
-        viscosities(np.random.default_rng(14), 20), finite_size, {"a": 0.9, "b": 1.8}, resamples=40
-    )
+    found = collapse(viscosities(np.random.default_rng(14), 20), finite_size, {"a": 0.9, "b": 1.8}, resamples=40)
     assert abs(found.exponents["a"] - 1) < 2 * found.errors["a"] < 0.2
     assert abs(found.exponents["b"] - 2) < 2 * found.errors["b"] < 0.4
 
@@ -395,8 +406,7 @@ def test_exponents_that_only_their_ratio_fixes_have_large_errors():
     """On y ~ √x alone μ = λ/2 for any λ."""
     random = np.random.default_rng(15)
     x = np.geomspace(1e-4, 1, 15)
-    curves = [Curve(x, np.sqrt(x) * np.exp(0.02 * random.standard_normal((8, 15))), {"p": p})
-              for p in (1e-3, 1e-2)]  # fmt: skip
+    curves = [Curve(x, np.sqrt(x) * np.exp(0.02 * random.standard_normal((8, 15))), {"p": p}) for p in (1e-3, 1e-2)]
     found = collapse(curves, critical, {"mu": 0.5, "lam": 1.0}, resamples=40)
     assert found.errors["lam"] > 0.05
     assert (found.resampled[:, 0] - found.resampled[:, 1] / 2).std() < 0.01
@@ -438,20 +448,25 @@ def two(x=X, samples=Y, **parameters):
     return [Curve(X, Y, {"N": 10.0}), Curve(x, samples, parameters or {"N": 11.0})]
 
 
-@pytest.mark.parametrize(("curves", "start", "message"), [
-    (two()[:1], {"a": 1.0}, "1 curves; it takes two"), (two(), {}, "no exponent"),
-    (two(), {"mu": 1.0}, "unexpected keyword argument 'mu'"), (two(p=1.0), {"a": 1.0}, "argument 'p'"),
-    (two(N=1e6), {"a": 1.0}, "at the start curves share -"),
-    (two(x=[1.0, 2.0]), {"a": 1.0}, r"curve 1: x \(2,\) and samples \(2, 3\)"),
-    (two(x=[1.0, 2.0, 2.0]), {"a": 1.0}, "curve 1: the same x twice"),
-    (two(x=[0.0, 2.0, 3.0]), {"a": 1.0}, "curve 1: x must be above 0, not 0"),
-    (two(x=[np.nan, 2.0, 3.0]), {"a": 1.0}, "curve 1: x must be above 0, not nan"),
-    (two(samples=np.full((2, 3), np.nan)), {"a": 1.0}, "curve 1: a value is nan"),
-    (two(samples=-Y), {"a": 1.0}, "curve 1: a mean over packings is -5, not above 0"),
-    (two(samples=Y[:1]), {"a": 1.0}, "curve 1: 1 packings"),
-    (two(samples=Y[[0, 0]]), {"a": 1.0}, "curve 1: 2 packings do not differ"),
-    (two(samples=np.stack([Y, 2 * Y], axis=1)), {"a": 1.0}, r"\[1, 2\] quantities"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("curves", "start", "message"),
+    [
+        (two()[:1], {"a": 1.0}, "1 curves; it takes two"),
+        (two(), {}, "no exponent"),
+        (two(), {"mu": 1.0}, "unexpected keyword argument 'mu'"),
+        (two(p=1.0), {"a": 1.0}, "argument 'p'"),
+        (two(N=1e6), {"a": 1.0}, "at the start curves share -"),
+        (two(x=[1.0, 2.0]), {"a": 1.0}, r"curve 1: x \(2,\) and samples \(2, 3\)"),
+        (two(x=[1.0, 2.0, 2.0]), {"a": 1.0}, "curve 1: the same x twice"),
+        (two(x=[0.0, 2.0, 3.0]), {"a": 1.0}, "curve 1: x must be above 0, not 0"),
+        (two(x=[np.nan, 2.0, 3.0]), {"a": 1.0}, "curve 1: x must be above 0, not nan"),
+        (two(samples=np.full((2, 3), np.nan)), {"a": 1.0}, "curve 1: a value is nan"),
+        (two(samples=-Y), {"a": 1.0}, "curve 1: a mean over packings is -5, not above 0"),
+        (two(samples=Y[:1]), {"a": 1.0}, "curve 1: 1 packings"),
+        (two(samples=Y[[0, 0]]), {"a": 1.0}, "curve 1: 2 packings do not differ"),
+        (two(samples=np.stack([Y, 2 * Y], axis=1)), {"a": 1.0}, r"\[1, 2\] quantities"),
+    ],
+)
 def test_no_collapse(curves, start, message):
     with pytest.raises(pj.InputError, match=message):
         collapse(curves, finite_size, start)

@@ -12,9 +12,11 @@ import pytest
 from conftest import names
 
 import petscjam as pj
+from petscjam.base.errors import DoubtfulWarning, InputError
+from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-from petscjam.damping import ContactDamping, StokesDrag
-from petscjam.errors import DoubtfulWarning, InputError
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.potential import power_law
 from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
 from petscjam.md.model import Model, model_of
@@ -23,10 +25,8 @@ from petscjam.md.runs import run
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import first_state
 from petscjam.md.state import State, random_state
-from petscjam.network import ContactNetwork
 from petscjam.plots.shear import plot_flow, plot_run
-from petscjam.potential import power_law
-from petscjam.storage import atomic_h5
+from petscjam.rows.damping import ContactDamping, StokesDrag
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 SMALL = {"model": "CD_rot", "n": 36, "phi": 0.82, "rate": 1e-2, "strain": 0.6, "seed": 3}
@@ -50,19 +50,13 @@ def same(one, other):
     """Return what differs between two runs, bit for bit."""
     rows = [name for name in one.rows if not np.array_equal(one.rows[name], other.rows[name])]
     blocks = [
-        name
-        for name, values in one.blocks.items()
-        if not np.array_equal(values, other.blocks[name], equal_nan=True)
+        name for name, values in one.blocks.items() if not np.array_equal(values, other.blocks[name], equal_nan=True)
     ]
     names = ("positions", "velocities", "spins", "strain", "time")
-    return (
-        rows
-        + blocks
-        + [n for n in names if not np.array_equal(getattr(one.state, n), getattr(other.state, n))]
-    )
+    return rows + blocks + [n for n in names if not np.array_equal(getattr(one.state, n), getattr(other.state, n))]
 
 
-@pytest.mark.filterwarnings("ignore::petscjam.errors.DoubtfulWarning")
+@pytest.mark.filterwarnings("ignore::petscjam.base.errors.DoubtfulWarning")
 @pytest.mark.parametrize("dt", [None, 0.11])
 @pytest.mark.parametrize("integrator", ["heun", "single"])
 def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, dt):
@@ -83,7 +77,7 @@ def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, 
 
 KILLED = """
 import sys, petscjam as pj
-from petscjam.md import book
+from petscjam.md import recording
 book.EVERY = 0.0
 def report(done, text):
     print(done, flush=True)
@@ -115,10 +109,11 @@ def test_threads_do_not_change_the_numbers(environment):
     )
     environment["NUMBA_NUM_THREADS"] = "2"
     one, two = (
-        subprocess.run([sys.executable, "-c", text.format(threads)], capture_output=True, text=True,
-                       env=environment, check=True).stdout
+        subprocess.run(
+            [sys.executable, "-c", text.format(threads)], capture_output=True, text=True, env=environment, check=True
+        ).stdout
         for threads in (1, 2)
-    )  # fmt: skip
+    )
     assert one == two
 
 
@@ -136,12 +131,16 @@ def test_a_longer_run_goes_on_from_its_end(tmp_path):
         ("shear", "--rate 5e-2 --strain 125", "--rate 5e-2 --strain 250", {"row_steps": 60}),
         ("shear", "--rate 1e-2 --strain 1 --dt 0.02", "--rate 1e-2 --strain 2", {"dt": 0.02}),
         ("shear", "--rate 1e-2 --strain 1 --row-time 3", "--rate 1e-2 --strain 2", {"row_steps": 72}),
-        ("shear", "--rate 1e-2 --strain 0.5 --then 1e-2:0.5", "--rate 1e-2 --strain 0.5 --then 1e-2:1.5",
-         {"strains": [0.5, 1.5]}),
+        (
+            "shear",
+            "--rate 1e-2 --strain 0.5 --then 1e-2:0.5",
+            "--rate 1e-2 --strain 0.5 --then 1e-2:1.5",
+            {"strains": [0.5, 1.5]},
+        ),
         ("shear", "--oscillate 0.1:0.1:1", "--oscillate 0.1:0.1:2", {"cycles": 2}),
         ("ramp", "--rate 1e-2 --to 2e-2 --kappa 5e-3 --row-time 3", None, {"row_steps": 72}),
     ],
-)  # fmt: skip
+)
 def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, settings):
     """What was left out is that of the file: rows are as long as they were; the file says how long it is."""
     file = tmp_path / "run.h5"
@@ -165,9 +164,7 @@ def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, setti
 def test_disks_that_never_meet_dissipate_nothing():
     """No heat, and no share of it that the budget misses; the progress says so, too."""
     texts = []
-    alone = pj.md.shear(
-        "CD", 16, 1e-4, rate=1e-2, strain=0.05, progress=lambda fraction, text: texts.append(text)
-    )
+    alone = pj.md.shear("CD", 16, 1e-4, rate=1e-2, strain=0.05, progress=lambda fraction, text: texts.append(text))
     assert alone.rows["heat"].sum() == 0
     assert alone.missed == 0
     assert texts and "budget" not in texts[-1]
@@ -175,9 +172,12 @@ def test_disks_that_never_meet_dissipate_nothing():
 
 @pytest.mark.parametrize(
     ("other", "named"),
-    [("--strain 2 --dt 0.01", "dt = 0.02"), ("--strain 2 --row-time 7", "row_steps = 50, not 350"),
-     ("--strain 2 --then 1e-3:1", "protocol = steady")],
-)  # fmt: skip
+    [
+        ("--strain 2 --dt 0.01", "dt = 0.02"),
+        ("--strain 2 --row-time 7", "row_steps = 50, not 350"),
+        ("--strain 2 --then 1e-3:1", "protocol = steady"),
+    ],
+)
 def test_a_resumed_run_refuses_what_differs(tmp_path, capsys, other, named):
     """An option that is given must be that of the file."""
     command = ["shear", "--particles", "16", "--rate", "1e-2", "-o", str(tmp_path / "run.h5")]
@@ -200,10 +200,20 @@ def test_only_the_last_of_several_steps_may_be_longer(tmp_path):
 
 @pytest.mark.parametrize(
     "other",
-    [{"model": "CD"}, {"Q": 2.0}, {"dt": 0.04}, {"phi": 0.8}, {"rate": 2e-2}, {"n": 64}, {"seed": 4},
-     {"integrator": "single"}, {"drag": 0.1}, {"model": ContactDamping(beta=0.5)}],
+    [
+        {"model": "CD"},
+        {"Q": 2.0},
+        {"dt": 0.04},
+        {"phi": 0.8},
+        {"rate": 2e-2},
+        {"n": 64},
+        {"seed": 4},
+        {"integrator": "single"},
+        {"drag": 0.1},
+        {"model": ContactDamping(beta=0.5)},
+    ],
     ids=lambda other: next(iter(other)),
-)  # fmt: skip
+)
 def test_a_checkpoint_of_another_run_is_refused(tmp_path, other):
     """The message names what differs, and nothing is lost."""
     file = tmp_path / "run.h5"
@@ -235,16 +245,33 @@ def test_a_truncated_file_is_refused(tmp_path, keep):
 
 
 BAD = [
-    ("--phi 1.2", "1.2"), ("--phi 0", "not 0"), ("--Q 0", "not 0"), ("--Q -1", "-1"), ("--rate 0", "rate"),
-    ("--strain -3", "-3"), ("--particles 33", "33"), ("--particles 4", "4"), ("--dt 0.5", "0.5"),
-    ("--dt -0.1", "-0.1"), ("--dt 0.2 --integrator single", "0.167"), ("--model CD_x", "CD_x"),
-    ("--threads 0", "not 0"), ("--exponent 1", "1"), ("--seed -1", "-1"),
-    ("--start nowhere.h5", "nowhere.h5"), ("--drag -1", "-1"), ("--model CD --beta 0.3", "--beta"),
-    ("--oscillate 1:2", "1:2"), ("--rate nan", "nan"), ("--then 1e-3", "1e-3"),
-    ("--phi 1.2,1.3 --particles 36", "1.2"), ("--bulk profile", "--bulk"),
-    ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"), ("--start nowhere.h5 --seeds 1:2", "--seeds"),
+    ("--phi 1.2", "1.2"),
+    ("--phi 0", "not 0"),
+    ("--Q 0", "not 0"),
+    ("--Q -1", "-1"),
+    ("--rate 0", "rate"),
+    ("--strain -3", "-3"),
+    ("--particles 33", "33"),
+    ("--particles 4", "4"),
+    ("--dt 0.5", "0.5"),
+    ("--dt -0.1", "-0.1"),
+    ("--dt 0.2 --integrator single", "0.167"),
+    ("--model CD_x", "CD_x"),
+    ("--threads 0", "not 0"),
+    ("--exponent 1", "1"),
+    ("--seed -1", "-1"),
+    ("--start nowhere.h5", "nowhere.h5"),
+    ("--drag -1", "-1"),
+    ("--model CD --beta 0.3", "--beta"),
+    ("--oscillate 1:2", "1:2"),
+    ("--rate nan", "nan"),
+    ("--then 1e-3", "1e-3"),
+    ("--phi 1.2,1.3 --particles 36", "1.2"),
+    ("--bulk profile", "--bulk"),
+    ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"),
+    ("--start nowhere.h5 --seeds 1:2", "--seeds"),
     ("--start nowhere.h5 --seed 2", "--seed"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("options", "value"), BAD, ids=[options for options, _ in BAD])
@@ -316,9 +343,7 @@ def test_an_oscillation_measures_the_modulus_of_the_linear_response(name):
     start = pj.prepare_packing(32, pressure=2e-2, seed=2, potential_name=name)
     scale = 2 * start.radii.min()  # the state is in units of the smallest diameter
     amplitude, omega, Q = 1e-5, 0.02, 1.0
-    swung = run(
-        protocols.oscillation(amplitude, omega, 6), "CD", Q=Q, start=start, row_time=2 * np.pi / omega / 40
-    )
+    swung = run(protocols.oscillation(amplitude, omega, 6), "CD", Q=Q, start=start, row_time=2 * np.pi / omega / 40)
     kept = swung.time > 2 * 2 * np.pi / omega
     step = np.diff(swung.time).mean()
     phase = omega * (swung.time[kept] - step / 2)
@@ -365,8 +390,9 @@ def test_a_start_keeps_its_potential(tmp_path, alpha, relative):
     ds, p = 2 * packing.radii.min(), ContactNetwork.of(packing).pressure
     packing.write(tmp_path / "p.h5")
     for start in (packing, tmp_path / "p.h5"):
-        still = run(protocols.steady(1e-9, 1e-9 * 30), "CD", start=start, output=tmp_path / "run.h5",
-                    frames=1, overwrite=True)  # fmt: skip
+        still = run(
+            protocols.steady(1e-9, 1e-9 * 30), "CD", start=start, output=tmp_path / "run.h5", frames=1, overwrite=True
+        )
         assert np.abs(still.state.velocities).max() < 1e-7
         assert still.pressure_elastic == pytest.approx(p * ds**2 / (1 if relative else ds**alpha), rel=1e-6)
         assert still.settings["potential"] == still.state.potential_name == name
@@ -423,9 +449,7 @@ def test_the_viscosity_of_a_fluid_is_in_the_books():
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
 @pytest.mark.parametrize("degrees", [0, 17, -40])
 @pytest.mark.parametrize(
-    "vectors",
-    [[[1, 0], [0, -1]], [[-1, 0], [0, 1]], [[0, 1], [1, 0]], [[1, 1], [0, 1]], [[2, 1], [3, 2]]],
-    ids=str,
+    "vectors", [[[1, 0], [0, -1]], [[-1, 0], [0, 1]], [[0, 1], [1, 0]], [[1, 1], [0, 1]], [[2, 1], [3, 2]]], ids=str
 )
 def test_squares_by_other_lattice_vectors(vectors, degrees, tilt):
     """Left-handed, in another order, sums, turned: the same lattice, so the same shear."""
@@ -468,8 +492,11 @@ def test_a_packing_is_a_start_at_rest_in_its_own_cell():
     sheared = pj.md.shear("CD", rate=1e-2, strain=0.02, start=packing)
     assert sheared.settings["phi"] == pytest.approx(packing.phi)
     assert 2 * sheared.state.radii.min() == pytest.approx(1.0)
-    for cell in (packing.box.cell * [[2.0], [1.0]], packing.box.cell * [[2.0], [0.5]],
-                 packing.box.cell @ [[1.0, 0.5], [0.0, 0.75**0.5]]):  # fmt: skip
+    for cell in (
+        packing.box.cell * [[2.0], [1.0]],
+        packing.box.cell * [[2.0], [0.5]],
+        packing.box.cell @ [[1.0, 0.5], [0.0, 0.75**0.5]],
+    ):
         with pytest.raises(InputError, match="not a square one"):
             pj.md.shear(start=pj.Packing(packing.positions, packing.radii, pj.Box(cell)))
 
@@ -523,10 +550,17 @@ def test_states_are_checked_at_birth():
 @pytest.mark.parametrize("integrator", ["heun", "single"])
 @pytest.mark.parametrize(
     ("model", "Q", "rate", "phi"),
-    [("CD_rot", 1.0, 1e-2, 0.3), ("CD_rot", 1.0, 1e-3, 0.6), ("CD_rot", 0.2, 1e-2, 0.6),
-     ("CD_n", 0.2, 1e-2, 0.6), ("CD_n", 1.0, 1e-2, 0.7), ("CD", 0.1, 0.3, 0.6), ("CD", 0.3, 0.3, 0.3),
-     ("CD", 30.0, 1e-2, 0.8)],
-)  # fmt: skip
+    [
+        ("CD_rot", 1.0, 1e-2, 0.3),
+        ("CD_rot", 1.0, 1e-3, 0.6),
+        ("CD_rot", 0.2, 1e-2, 0.6),
+        ("CD_n", 0.2, 1e-2, 0.6),
+        ("CD_n", 1.0, 1e-2, 0.7),
+        ("CD", 0.1, 0.3, 0.6),
+        ("CD", 0.3, 0.3, 0.3),
+        ("CD", 30.0, 1e-2, 0.8),
+    ],
+)
 def test_the_default_step_accounts_for_99_percent_of_the_heat(model, Q, rate, phi, integrator):
     """Where disks collide most violently for their damping, too."""
     made = pj.md.shear(model, 256, phi, Q, rate=rate, strain=2.0, integrator=integrator)
@@ -589,9 +623,7 @@ def test_older_files_are_read(tmp_path):
 def test_verbs(tmp_path, capsys):
     """Shear, ramp, info, plot, maps, frames, csv, LAMMPS."""
     file = tmp_path / "run.h5"
-    words = (
-        "shear --model CD_rot --particles 36 --phi 0.82 --Q 1 --rate 1e-2 --strain 0.6 --seed 3 --frames 2"
-    )
+    words = "shear --model CD_rot --particles 36 --phi 0.82 --Q 1 --rate 1e-2 --strain 0.6 --seed 3 --frames 2"
     assert main([*words.split(), "-o", str(file)]) == 0
     assert same(pj.md.read(file), pj.md.shear(**SMALL)) == []
     assert len(list((tmp_path / "run.frames").iterdir())) == 2

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import petscjam as pj
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.md.fields import _overlap, bands, local_maps, profile
 from petscjam.md.frames import write_frame
 from petscjam.md.result import BINS, ROWS, Run
@@ -58,13 +58,22 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
     newton = 0.6 * rates / Q * settle * (1 + 0.05 * rng.normal(size=rows))
     data = {name: np.zeros(rows) for name in ROWS}
     data |= {
-        "time": strain / np.abs(rates), "strain": strain, "rate": rates, "elastic_xx": newton,
-        "elastic_yy": newton, "elastic_xy": -0.34 * newton * (1 + 0.03 * rng.normal(size=rows)),
-        "dissipative_xx": 0.1 * newton, "dissipative_yy": 0.1 * newton, "dissipative_xy": -0.05 * newton,
-        "contacts": 2.9 + 0.1 * rng.normal(size=rows), "energy": 1e-3 * (1 + 0.1 * rng.normal(size=rows)),
-        "spin": -0.49 * rates * (1 + 0.02 * rng.normal(size=rows)), "spin_variance": 40 * rates**2,
-        "dvx2": 6 * rates**2, "vy2": rates**2 * (1 + 0.1 * rng.normal(size=rows)),
-    }  # fmt: skip
+        "time": strain / np.abs(rates),
+        "strain": strain,
+        "rate": rates,
+        "elastic_xx": newton,
+        "elastic_yy": newton,
+        "elastic_xy": -0.34 * newton * (1 + 0.03 * rng.normal(size=rows)),
+        "dissipative_xx": 0.1 * newton,
+        "dissipative_yy": 0.1 * newton,
+        "dissipative_xy": -0.05 * newton,
+        "contacts": 2.9 + 0.1 * rng.normal(size=rows),
+        "energy": 1e-3 * (1 + 0.1 * rng.normal(size=rows)),
+        "spin": -0.49 * rates * (1 + 0.02 * rng.normal(size=rows)),
+        "spin_variance": 40 * rates**2,
+        "dvx2": 6 * rates**2,
+        "vy2": rates**2 * (1 + 0.1 * rng.normal(size=rows)),
+    }
     data["work"] = 0.05 * newton * 3600
     data["heat"] = data["work"] - np.diff(data["energy"], prepend=data["energy"][0])
     data["imbalance"] = 1e-10 * rng.normal(size=rows)
@@ -79,22 +88,19 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
     normal = 0.7 * rng.normal(size=(BLOCKS, 500))
     scatter = np.stack([tangential, rotational, tangential + rotational, normal], axis=-1)
     blocks = {
-        "strain": np.linspace(0, 10, BLOCKS + 1)[1:], "samples": samples,
+        "strain": np.linspace(0, 10, BLOCKS + 1)[1:],
+        "samples": samples,
         "making": rng.poisson(3000 * glancing * (np.abs(angle) > 90), (BLOCKS, BINS)),
         "breaking": rng.poisson(3000 * glancing * (np.abs(angle) < 90), (BLOCKS, BINS)),
-        "layer_disks": disks, "layer_vx": disks * (vx + noise * rng.normal(size=shape)),
+        "layer_disks": disks,
+        "layer_vx": disks * (vx + noise * rng.normal(size=shape)),
         "layer_area": 50 * LENGTH * (0.8 + 0.01 * np.cos(6.28 * y / LENGTH) + 0.003 * rng.normal(size=shape)),
-        "pairs": np.full(BLOCKS, 500), "first": scatter.sum(1),
-        "second": np.einsum("bsi,bsj->bij", scatter, scatter), "scatter": scatter,
-    }  # fmt: skip
-    usual = {
-        "model": "CD_rot",
-        "particles": 1024,
-        "phi": 0.8,
-        "Q": Q,
-        "rate": float(rates[0]),
-        "strain0": 0.0,
+        "pairs": np.full(BLOCKS, 500),
+        "first": scatter.sum(1),
+        "second": np.einsum("bsi,bsj->bij", scatter, scatter),
+        "scatter": scatter,
     }
+    usual = {"model": "CD_rot", "particles": 1024, "phi": 0.8, "Q": Q, "rate": float(rates[0]), "strain0": 0.0}
     usual |= {"time0": 0.0, "kappa": 1e-5, "protocol": protocol, "seed": seed}
     return Run(usual | settings, data, blocks, state)
 
@@ -248,9 +254,7 @@ def test_two_bands_are_found_where_they_are(centre, share, backwards):
     slow, fast = 4e-6, 6e-5
     mean = share * fast + (1 - share) * slow
     sign = -1 if backwards else 1
-    run = synthetic_run(
-        sign * two_slopes(y, mean=mean, fast=fast, slow=slow, centre=centre)[0], rate=sign * mean
-    )
+    run = synthetic_run(sign * two_slopes(y, mean=mean, fast=fast, slow=slow, centre=centre)[0], rate=sign * mean)
     b = bands(profile(run))
     assert b.rates == pytest.approx((sign * fast, sign * slow), rel=1e-3)
     assert b.shares == pytest.approx((share, 1 - share), abs=1e-3)

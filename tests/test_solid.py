@@ -9,15 +9,15 @@ import pytest
 
 import petscjam as pj
 from petscjam.cli import main
-from petscjam.damping import LAWS
-from petscjam.ensemble import average, export_average
+from petscjam.geometry.network import ContactNetwork
+from petscjam.io.jobs import average, export_average
 from petscjam.io.results import append_result, read_results
-from petscjam.kinematics import STRAINS, strain_mode
-from petscjam.network import ContactNetwork
-from petscjam.packing.certify import certify
 from petscjam.plots import plot_results
-from petscjam.report import describe_packing, table
+from petscjam.plots.tables import describe_packing, table
+from petscjam.preparation.certify import certify
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.damping import LAWS
+from petscjam.rows.kinematics import STRAINS, strain_mode
 
 DATA = Path(__file__).parent / "data"
 A = 0.99  # distance of neighbours of diameter 1
@@ -66,9 +66,12 @@ def two_islands():
 LATTICES = {  # cell and disks, in units of the distance of neighbours; bulk modulus
     "square": ([1, 1], [[0, 0]], 1 / 2),
     "honeycomb": ([3, 3**0.5], [[0, 0], [1 / 3, 0], [1 / 2, 1 / 2], [5 / 6, 1 / 2]], 1 / (2 * 3**0.5)),
-    "kagome": ([2, 12**0.5], [[0, 0], [1 / 2, 0], [1 / 4, 1 / 4], [1 / 2, 1 / 2], [0, 1 / 2], [3 / 4, 3 / 4]],
-               0.75**0.5 / 2),
-}  # fmt: skip
+    "kagome": (
+        [2, 12**0.5],
+        [[0, 0], [1 / 2, 0], [1 / 4, 1 / 4], [1 / 2, 1 / 2], [0, 1 / 2], [3 / 4, 3 / 4]],
+        0.75**0.5 / 2,
+    ),
+}
 
 
 def lattice(name, times=3, turn=0.0):
@@ -115,7 +118,7 @@ def net_force(packing):
 VERBS = {
     "direct": lambda p, **how: pj.complex_modulus(p, OMEGA, **how),
     "spectrum": lambda p, **how: pj.spectrum(p, (1e-3, 10.0), **how),
-    "sample": lambda p, **how: pj.spectrum(p, (1e-3, 10.0), **how).sample(OMEGA),
+    "sample": lambda p, **how: pj.ComplexModulus.sampled(pj.spectrum(p, (1e-3, 10.0), **how), OMEGA),
     "nonaffine": lambda p, **how: pj.quasistatic_response(p, **how),
     "viscosity": lambda p, **how: pj.viscosity(p, **how),
     "correlations": lambda p, **how: pj.correlations(p, OMEGA, **how),
@@ -234,12 +237,15 @@ def test_soft_motions_that_only_friction_resists_are_answered(low):
 @pytest.mark.parametrize(
     ("make", "law", "free"),
     [
-        (island, pj.ContactDamping(), 1), (two_islands, pj.ContactDamping(), 2),
-        (two_islands, pj.ContactDamping(rotations=False), 0), (two_islands, pj.ContactDamping(0.0), 3),
-        (two_islands, pj.StokesDrag(), 0), (jammed, pj.ContactDamping(), 0),
+        (island, pj.ContactDamping(), 1),
+        (two_islands, pj.ContactDamping(), 2),
+        (two_islands, pj.ContactDamping(rotations=False), 0),
+        (two_islands, pj.ContactDamping(0.0), 3),
+        (two_islands, pj.StokesDrag(), 0),
+        (jammed, pj.ContactDamping(), 0),
         (jammed, pj.ContactDamping(0.0), 0),
     ],
-)  # fmt: skip
+)
 def test_as_many_are_held_as_motions_meet_no_resistance(comm, make, law, free):
     """An island turns and rolls as a whole; of two, one rolls on the other, or slides without friction."""
     packing = make()

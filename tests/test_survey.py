@@ -10,14 +10,14 @@ from conftest import names
 
 import petscjam as pj
 from petscjam.analysis.viscosity import Viscosity
+from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.ensemble import survey
-from petscjam.errors import InputError, SolverError
+from petscjam.io.jobs import survey
 from petscjam.io.results import KINDS, inventory, is_result, read_results
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
 from petscjam.plots import PICTURES
-from petscjam.report import COLUMNS
+from petscjam.plots.tables import COLUMNS
 
 OMEGA, STRESS, ALPHA = np.array([1e-3, 1.0]), 1e-3, 0.5
 FREQUENCIES, AMPLITUDE = ["--omega", "1e-3,1"], ["--stress", "1e-3", "--alpha", "0.5"]
@@ -27,14 +27,19 @@ VERBS = {
     "viscosity": (["viscosity", "--damping", "stokes"], pj.viscosity, STOKES),
     "modes": (["modes", "--count", "5"], pj.lowest_modes, {"count": 5}),
     "relaxations": (["modes", "--relaxation", "--count", "5"], pj.relaxation_modes, {"count": 5, **CONTACT}),
-    "density": (["density", "--moments", "64", "--vectors", "4"], pj.density_of_states,
-                {"moments": 64, "vectors": 4}),
+    "density": (["density", "--moments", "64", "--vectors", "4"], pj.density_of_states, {"moments": 64, "vectors": 4}),
     "correlations": (["correlations", *FREQUENCIES], pj.correlations, {"omegas": OMEGA, **CONTACT}),
-    "drag": (["drag", *FREQUENCIES, *AMPLITUDE], pj.self_consistent_drag,
-             {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA}),
-    "uniform": (["drag", "--uniform", *FREQUENCIES, *AMPLITUDE], pj.equivalent_drag,
-                {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA}),
-}  # fmt: skip
+    "drag": (
+        ["drag", *FREQUENCIES, *AMPLITUDE],
+        pj.self_consistent_drag,
+        {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA},
+    ),
+    "uniform": (
+        ["drag", "--uniform", *FREQUENCIES, *AMPLITUDE],
+        pj.equivalent_drag,
+        {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA},
+    ),
+}
 OTHERS = {
     "nonaffine": (["--strain", "compression"], "strain=compression"),
     "viscosity": (["--strain", "pure-shear"], "strain=pure-shear"),
@@ -209,8 +214,11 @@ def test_laws_and_prestress_side_by_side(folder, tmp_path):
         direct = pj.viscosity(pj.Packing.read(packing), damping=v.damping, prestress=v.prestress)
         assert v.eta0 == pytest.approx(direct.eta0, rel=1e-12)
     assert {(v.damping.beta, v.prestress) for v in results.values()} == {
-        (0.1, True), (0.1, False), (1.0, True), (1.0, False)
-    }  # fmt: skip
+        (0.1, True),
+        (0.1, False),
+        (1.0, True),
+        (1.0, False),
+    }
 
 
 # --- what is there already
@@ -254,9 +262,7 @@ def test_resume_adds_the_other_prestress(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "other",
-    [["--beta", "0.5"], ["--no-prestress"], ["--damping", "stokes"]],
-    ids=["beta", "pre-stress", "law"],
+    "other", [["--beta", "0.5"], ["--no-prestress"], ["--damping", "stokes"]], ids=["beta", "pre-stress", "law"]
 )
 def test_resume_adds_another_law_or_prestress_beside(folder, tmp_path, other):
     output, packing = tmp_path / "v.h5", folder / "p1.h5"
@@ -274,12 +280,14 @@ def test_resume_adds_another_law_or_prestress_beside(folder, tmp_path, other):
 @pytest.mark.parametrize(
     ("first", "then"),
     [
-        ("drag", ["drag", "--uniform", *FREQUENCIES, *AMPLITUDE]), ("nonaffine", ["viscosity"]),
-        ("uniform", ["drag", *FREQUENCIES, *AMPLITUDE]), ("modes", ["modes", "--relaxation", "--count", "5"]),
+        ("drag", ["drag", "--uniform", *FREQUENCIES, *AMPLITUDE]),
+        ("nonaffine", ["viscosity"]),
+        ("uniform", ["drag", *FREQUENCIES, *AMPLITUDE]),
+        ("modes", ["modes", "--relaxation", "--count", "5"]),
         ("nonaffine", ["moduli", "--omega", "1,2"]),
     ],
     ids=["form", "kind", "other form", "relaxation", "moduli"],
-)  # fmt: skip
+)
 def test_resume_refuses_what_answers_another_question(folder, made, tmp_path, capfd, first, then):
     output = copy(made(first), tmp_path)
     before = output.read_bytes()
@@ -316,23 +324,32 @@ def said(x):
 
 
 BAD = [
-    (["modes", "--count", "0"], "count"), (["modes", "--relaxation", "--count", "0"], "count"),
-    (["density", "--moments", "1"], "moments"), (["density", "--vectors", "0"], "vectors"),
-    (["correlations", "--width", "0"], "width"), (["correlations", "--bin", "0"], "bin"),
-    (["drag", "--stress", "0"], "stress"), (["drag", "--stress", "1e-3", "--alpha", "-1"], "alpha"),
+    (["modes", "--count", "0"], "count"),
+    (["modes", "--relaxation", "--count", "0"], "count"),
+    (["density", "--moments", "1"], "moments"),
+    (["density", "--vectors", "0"], "vectors"),
+    (["correlations", "--width", "0"], "width"),
+    (["correlations", "--bin", "0"], "bin"),
+    (["drag", "--stress", "0"], "stress"),
+    (["drag", "--stress", "1e-3", "--alpha", "-1"], "alpha"),
     (["drag", "--uniform", "--stress", "0"], "stress"),
     (["drag", "--uniform", "--stress", "1e-3", "--alpha", "0"], "alpha"),
-]  # fmt: skip
+]
 BAD_WORDS = [
-    (["drag", "--stress", "1e-3", "--omega", "0"], "--omega: 0"), (["drag", *FREQUENCIES], "--stress"),
+    (["drag", "--stress", "1e-3", "--omega", "0"], "--omega: 0"),
+    (["drag", *FREQUENCIES], "--stress"),
     (["drag", "--stress", "1e-3", "--beta", "1"], "--beta"),
     (["correlations", "--omega", "0"], "--omega: 0"),
-    (["correlations", "--strain", "compression"], "--strain"), (["correlations", "--width", "100"], "width"),
-    (["nonaffine", "--strain", "torsion"], "torsion"), (["modes", "--strain", "torsion"], "torsion"),
-    (["viscosity", "--beta", "-1"], "-1"), (["viscosity", "--damping", "glue"], "glue"),
-    (["modes", "--count", "many"], "many"), (["viscosity", "--team-size", "0"], "--team-size"),
+    (["correlations", "--strain", "compression"], "--strain"),
+    (["correlations", "--width", "100"], "width"),
+    (["nonaffine", "--strain", "torsion"], "torsion"),
+    (["modes", "--strain", "torsion"], "torsion"),
+    (["viscosity", "--beta", "-1"], "-1"),
+    (["viscosity", "--damping", "glue"], "glue"),
+    (["modes", "--count", "many"], "many"),
+    (["viscosity", "--team-size", "0"], "--team-size"),
     (["density", "--no-prestress", "--prestress-both"], "--prestress-both"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("arguments", "named"), BAD + BAD_WORDS, ids=said)
@@ -456,7 +473,7 @@ def test_mpirun_finds_the_same_as_one_rank(folder, made, mpirun, tmp_path):
 
 DIES = """
 import os, sys
-import petscjam.ensemble as ensemble
+import petscjam.io.jobs as ensemble
 from petscjam.cli import main
 append, written = ensemble.append_result, []
 def last(*arguments, **options):

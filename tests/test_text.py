@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam.errors import shown
+from petscjam.base.errors import shown
 from petscjam.io.lammps_shear import write_lammps
 from petscjam.md.frames import write_frame
 from petscjam.md.model import model
@@ -24,32 +24,44 @@ def packing():
     return pj.import_packing(DATA)
 
 
-@pytest.mark.parametrize(("value", "expected"), [
-    (f8(1.4), "1.4"), (i8(4), "4"), (np.float32(0.5), "0.5"), (np.True_, "True"), (np.str_("x"), "'x'"),
-    ((f8(1.5), (i8(2), "x")), "(1.5, (2, 'x'))"), (np.array([1.0, 2.0]), "[1.0, 2.0]"), ("1.4", "'1.4'"),
-    (None, "None"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (f8(1.4), "1.4"),
+        (i8(4), "4"),
+        (np.float32(0.5), "0.5"),
+        (np.True_, "True"),
+        (np.str_("x"), "'x'"),
+        ((f8(1.5), (i8(2), "x")), "(1.5, (2, 'x'))"),
+        (np.array([1.0, 2.0]), "[1.0, 2.0]"),
+        ("1.4", "'1.4'"),
+        (None, "None"),
+    ],
+)
 def test_a_value_in_a_message_is_pythons(value, expected):
     assert shown(value) == expected
 
 
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda p: pj.ContactDamping(beta=f8(-1)), "not -1.0"),
-    (lambda p: pj.prepare_packing(i8(4), 1e-3, 1), "not 4"),
-    (lambda p: pj.prepare_packing(16, f8(-1), 1), "not -1.0"),
-    (lambda p: pj.prepare_packing(16, 1e-3, f8(0.5)), "not 0.5"),
-    (lambda p: pj.prepare_packing(16, 1e-3, 1, ratio=f8(-1)), "not -1.0"),
-    (lambda p: pj.prepare_packing(16, 1e-3, 1, budget=i8(0)), "not 0"),
-    (lambda p: pj.prepare_library("no", [i8(16)], [1e-3], [i8(1), i8(1)]), "(16, 0.001, 1) are the same"),
-    (lambda p: pj.spectrum(p, (f8(1), f8(2), f8(3))), "not (1.0, 2.0, 3.0)"),
-    (lambda p: pj.spectrum(p, rtol=f8(0.5)), "not 0.5"),
-    (lambda p: pj.spectrum(p, damping=f8(1)), "1.0 is not a law"),
-    (lambda p: pj.lowest_modes(p, count=i8(0)), "not 0"),
-    (lambda p: model("CD", f8(-1)), "not -1.0"),
-    (lambda p: model("CD", 1.0).step(f8(-1), "heun"), "not -1.0"),
-    (lambda p: random_state(i8(3), 0.8, 0), "not 3"),
-    (lambda p: random_state(16, f8(-1), 0), "not -1.0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda p: pj.ContactDamping(beta=f8(-1)), "not -1.0"),
+        (lambda p: pj.prepare_packing(i8(4), 1e-3, 1), "not 4"),
+        (lambda p: pj.prepare_packing(16, f8(-1), 1), "not -1.0"),
+        (lambda p: pj.prepare_packing(16, 1e-3, f8(0.5)), "not 0.5"),
+        (lambda p: pj.prepare_packing(16, 1e-3, 1, ratio=f8(-1)), "not -1.0"),
+        (lambda p: pj.prepare_packing(16, 1e-3, 1, budget=i8(0)), "not 0"),
+        (lambda p: pj.prepare_library("no", [i8(16)], [1e-3], [i8(1), i8(1)]), "(16, 0.001, 1) are the same"),
+        (lambda p: pj.spectrum(p, (f8(1), f8(2), f8(3))), "not (1.0, 2.0, 3.0)"),
+        (lambda p: pj.spectrum(p, rtol=f8(0.5)), "not 0.5"),
+        (lambda p: pj.spectrum(p, damping=f8(1)), "1.0 is not a law"),
+        (lambda p: pj.lowest_modes(p, count=i8(0)), "not 0"),
+        (lambda p: model("CD", f8(-1)), "not -1.0"),
+        (lambda p: model("CD", 1.0).step(f8(-1), "heun"), "not -1.0"),
+        (lambda p: random_state(i8(3), 0.8, 0), "not 3"),
+        (lambda p: random_state(16, f8(-1), 0), "not -1.0"),
+    ],
+)
 def test_a_message_shows_the_number_that_was_given(packing, call, words):
     with pytest.raises(pj.InputError) as caught:
         call(packing)

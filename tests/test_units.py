@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam.potential import POTENTIALS
+from petscjam.geometry.potential import POTENTIALS
 
 FACTORS = [1e-9, 1e9]
 EVERY_LAW = [
-    pj.ContactDamping(), pj.ContactDamping(beta=0.01), pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(rotations=False), pj.StokesDrag(eta_fluid=1.0),
-]  # fmt: skip
+    pj.ContactDamping(),
+    pj.ContactDamping(beta=0.01),
+    pj.ContactDamping(beta=0.0),
+    pj.ContactDamping(rotations=False),
+    pj.StokesDrag(eta_fluid=1.0),
+]
 TWO_POTENTIALS = ["harmonic", "hertzian-relative"]  # one length unit changes the forces, one does not
 OMEGA = np.geomspace(1e-6, 1e1, 15)
 CLOSE = {"rel": 1e-8}  # rounding of positions moves overlaps of 1e-2 d by 1e-14, and soft motions by more
@@ -66,8 +69,11 @@ def test_certificate(name, s):
     assert small.proved
     assert large.proved
     assert (large.rattlers, large.contacts, large.negative_modes, large.zero_modes) == (
-        small.rattlers, small.contacts, 0, 0,
-    )  # fmt: skip
+        small.rattlers,
+        small.contacts,
+        0,
+        0,
+    )
     assert large.pressure == pytest.approx(c * small.pressure, rel=1e-10)
     assert large.eigenvalues == pytest.approx(c * np.array(small.eigenvalues), **CLOSE)
     assert large.shear_modulus == pytest.approx(c * small.shear_modulus, **CLOSE)
@@ -124,9 +130,7 @@ def test_the_bound_of_a_spectrum_is_never_below_its_error(name, law, rtol, s):
 @two_potentials
 def test_family(name, s):
     p, (q, c) = packing(name, n=16), scaled(name, s, n=16)
-    small, large = (
-        pj.beta_family(x, (0.01, 1.0), (w * 1e-5, w * 10.0), rtol=1e-4) for x, w in ((p, 1.0), (q, c))
-    )
+    small, large = (pj.beta_family(x, (0.01, 1.0), (w * 1e-5, w * 10.0), rtol=1e-4) for x, w in ((p, 1.0), (q, c)))
     assert large.factorisations == small.factorisations
     omega = OMEGA[2:-1]
     assert large(0.1)(c * omega) == pytest.approx(c * small(0.1)(omega), rel=1e-6)

@@ -18,21 +18,21 @@ from numpy.typing import ArrayLike
 from scipy.special import hyp2f1
 
 from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time, unstable
-from petscjam.box import Array
-from petscjam.damping import ContactDamping, viscous_form
-from petscjam.errors import InputError, SolverError, shown
-from petscjam.kinematics import Field, strain_mode
-from petscjam.network import rounded
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.network import rounded
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import petsc
 from petscjam.parallel.solver import direct_solver
-from petscjam.progress import Report
 from petscjam.response.limits import LARGEST_RESIDUAL
 from petscjam.response.matrices import assembled
+from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.response.result import frequencies
+from petscjam.rows.damping import ContactDamping, viscous_form
+from petscjam.rows.kinematics import Field, strain_mode
 
 MEMORY = 6  # iterations that the next one is made of
 
@@ -125,9 +125,7 @@ def self_consistent_drag(
             def times_of(found: _Response, omega: float = omega[w]) -> Array:
                 return contact_times(omega / k * found.strain * found.motion / d, alpha, floor)
 
-            points[w] = _fixed_point(
-                partial(respond, omega[w], stress), times_of, log_tau, rtol, most_iterations, comm
-            )
+            points[w] = _fixed_point(partial(respond, omega[w], stress), times_of, log_tau, rtol, most_iterations, comm)
             log_tau = np.log(points[w].contact_tau) - np.log(guess[w])
             if progress:
                 progress(done / len(omega), f"ω = {omega[w]:.3g}, {points[w].iterations} iterations")
@@ -139,10 +137,17 @@ def self_consistent_drag(
     lowest = rounded(found["values"].real, problem.rounding[0]).min()
     problem.notes += unstable(problem, float(lowest))
     return NonlinearModulus(
-        omega=omega, stress=float(stress), alpha=float(alpha), form="per contact", **found,
-        errors=np.full(len(omega), np.nan), strain=strain, prestress=prestress,
-        packing=describe(problem, name), notes=tuple(problem.notes),
-    )  # fmt: skip
+        omega=omega,
+        stress=float(stress),
+        alpha=float(alpha),
+        form="per contact",
+        **found,
+        errors=np.full(len(omega), np.nan),
+        strain=strain,
+        prestress=prestress,
+        packing=describe(problem, name),
+        notes=tuple(problem.notes),
+    )
 
 
 class _Response(NamedTuple):
@@ -195,9 +200,7 @@ def _fixed_point(
     share = tau * square / (tau * square).sum()
     mean = float(tau @ square / square.sum())
     spread = float(share @ (np.log(tau) - share @ np.log(tau)) ** 2) ** 0.5
-    return comm.bcast(
-        _Point(found.G, mean, spread, iterations, converged, change, tau_change, found.residual, tau)
-    )
+    return comm.bcast(_Point(found.G, mean, spread, iterations, converged, change, tau_change, found.residual, tau))
 
 
 def _mixed(tried: list[Array], missed: list[Array]) -> Array:
@@ -226,16 +229,12 @@ def _responses(problem: LinearProblem) -> Iterator[Callable[[float, float, Array
         def respond(omega: float, stress: float, tau: Array) -> _Response:
             B = viscous_form(network, mine, problem.strains, law, tau)
             with assembled(problem.K, pattern, dofs, comm, B) as pencil:
-                pencil.combine(1, 0, 1j * omega).copy(
-                    frame.A, structure=petsc().Mat.Structure.SAME_NONZERO_PATTERN
-                )
+                pencil.combine(1, 0, 1j * omega).copy(frame.A, structure=petsc().Mat.Structure.SAME_NONZERO_PATTERN)
                 forcing = (pencil.k + 1j * omega * pencil.pulls[2])[:, 0]
             solver.factor(frame.A)
             x, residual = solver.solve(-forcing)
             if not residual < LARGEST_RESIDUAL:
-                raise SolverError(
-                    f"the solve at ω = {omega:g} has residual {residual:.1e}; it cannot be trusted"
-                )
+                raise SolverError(f"the solve at ω = {omega:g} has residual {residual:.1e}; it cannot be trusted")
             Q = (dofs.gather(x, comm), [1.0])
             G = problem.modulus(problem.product(problem.K, Q, Q) + 1j * omega * problem.product(B, Q, Q))
             motion = everywhere.relative(*Q).reshape(-1, 2)

@@ -17,18 +17,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array, Integers
-from petscjam.damping import DampingLaw
-from petscjam.errors import InputError
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.base.progress import Report
+from petscjam.base.ranges import Range
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import require
-from petscjam.progress import Report
-from petscjam.ranges import Range
+from petscjam.response.origin import Judged, frequencies
 from petscjam.response.reduced import spectrum
-from petscjam.response.result import Judged, frequencies
 from petscjam.response.spectrum import Spectrum
+from petscjam.rows.damping import DampingLaw
 
 FINEST = 1e-3  # of lanes and bins, mean diameters
 ALONG = 1e-9  # how far a lattice vector may point out of x, relative to its length
@@ -159,9 +159,15 @@ def correlations(
     width, bin = _or_default(packing, width, bin)
     _Lanes.of(packing, width, bin).require_memory(comm)  # before anything is solved
     model = spectrum(
-        packing, (omega.min(), omega.max()), damping=damping, prestress=prestress, rtol=rtol, comm=comm,
-        name=name, progress=progress,
-    )  # fmt: skip
+        packing,
+        (omega.min(), omega.max()),
+        damping=damping,
+        prestress=prestress,
+        rtol=rtol,
+        comm=comm,
+        name=name,
+        progress=progress,
+    )
     return correlations_of(model, omega, width=width, bin=bin)
 
 
@@ -179,11 +185,24 @@ def correlations_of(
     width, bin = _or_default(packing, width, bin)
     delta, C, pairs = lane_correlation(packing, u, width=width, bin=bin)
     return Correlations(
-        omega=omega, delta=delta, real=C[0], imaginary=C[1], pairs=pairs, G=model(omega),
-        errors=model.error(omega), L=_Lanes.of(packing, width, bin).L, width=float(width), bin=float(bin),
-        G0=model.G0, negative_modes=model.negative_modes, zero_modes=model.zero_modes,
-        damping=model.damping, prestress=model.prestress, packing=model.packing, notes=model.notes,
-    )  # fmt: skip
+        omega=omega,
+        delta=delta,
+        real=C[0],
+        imaginary=C[1],
+        pairs=pairs,
+        G=model(omega),
+        errors=model.error(omega),
+        L=_Lanes.of(packing, width, bin).L,
+        width=float(width),
+        bin=float(bin),
+        G0=model.G0,
+        negative_modes=model.negative_modes,
+        zero_modes=model.zero_modes,
+        damping=model.damping,
+        prestress=model.prestress,
+        packing=model.packing,
+        notes=model.notes,
+    )
 
 
 def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: float) -> LaneCorrelation:

@@ -14,20 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam import ranges
-from petscjam.box import Array
-from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, SolverError
-from petscjam.interrupt import check
-from petscjam.kinematics import SIMPLE_SHEAR
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import check
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.memory import require
 from petscjam.parallel.petsc import destroying, stage
-from petscjam.progress import Report
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem, describe
+from petscjam.rows.damping import ContactDamping
+from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ
@@ -175,9 +175,14 @@ def density_of_states(
     edge = float(np.sqrt(bound))
     return DensityOfStates(
         **series(found[:vectors], edge, frequency_grid(edge, moments)),
-        moments=found[:vectors], edge=edge, modes=modes, negative_modes=problem.negative_modes,
-        prestress=prestress, packing=describe(problem, name), notes=tuple(problem.notes),
-    )  # fmt: skip
+        moments=found[:vectors],
+        edge=edge,
+        modes=modes,
+        negative_modes=problem.negative_modes,
+        prestress=prestress,
+        packing=describe(problem, name),
+        notes=tuple(problem.notes),
+    )
 
 
 def highest(network: ContactNetwork) -> float:
@@ -285,9 +290,12 @@ def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
     density, integral = angular(moments, 2 * np.arcsin(omega / edge))
     slope = np.sqrt(edge**2 - omega**2) / 2  # dω/dθ
     return {
-        "omega": omega, "density": density.mean(0) / slope, "error": standard_error(density) / slope,
-        "cumulative": integral.mean(0), "resolution": np.pi / (moments.shape[1] + 1) * slope,
-    }  # fmt: skip
+        "omega": omega,
+        "density": density.mean(0) / slope,
+        "error": standard_error(density) / slope,
+        "cumulative": integral.mean(0),
+        "resolution": np.pi / (moments.shape[1] + 1) * slope,
+    }
 
 
 def standard_error(samples: Array) -> Array:

@@ -18,16 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import gamma
 
-from petscjam import ranges
-from petscjam.box import Array
-from petscjam.damping import ContactDamping
-from petscjam.errors import InputError
-from petscjam.packing.packing import Packing
+from petscjam.base import ranges
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import potential
 from petscjam.parallel.comm import agree
-from petscjam.potential import potential
+from petscjam.response.origin import frequencies
 from petscjam.response.reduced import spectrum
-from petscjam.response.result import frequencies
 from petscjam.response.spectrum import EDGE, Spectrum
+from petscjam.rows.damping import ContactDamping
 
 LARGEST_LOG = 100 * np.log(10)  # |ln τ|: beyond, squares leave the floating-point numbers
 
@@ -100,9 +100,12 @@ class NonlinearModulus:
         check_amplitude(stress, self.alpha)
         faster = (stress / self.stress) ** ((1 - self.alpha) / self.alpha)
         return replace(
-            self, stress=float(stress), omega=self.omega * faster,
-            tau=self.tau / faster, contact_tau=self.contact_tau / faster,
-        )  # fmt: skip
+            self,
+            stress=float(stress),
+            omega=self.omega * faster,
+            tau=self.tau / faster,
+            contact_tau=self.contact_tau / faster,
+        )
 
 
 def line_factor(alpha: float) -> float:
@@ -189,22 +192,32 @@ def equivalent_drag(
     zeros, count = np.zeros(len(omega)), len(omega)
     values = model(omega * tau)
     return NonlinearModulus(
-        omega=omega, values=values, stress=float(stress), alpha=float(alpha), form="uniform",
-        tau=tau, spread=zeros, iterations=np.zeros(count, dtype=int), converged=np.ones(count, dtype=bool),
-        changes=zeros, tau_changes=zeros, residuals=model.residuals(omega * tau),
-        errors=model.error(omega * tau), contact_tau=np.empty((count, 0)),
-        strain=model.strain, prestress=model.prestress, packing=model.packing,
+        omega=omega,
+        values=values,
+        stress=float(stress),
+        alpha=float(alpha),
+        form="uniform",
+        tau=tau,
+        spread=zeros,
+        iterations=np.zeros(count, dtype=int),
+        converged=np.ones(count, dtype=bool),
+        changes=zeros,
+        tau_changes=zeros,
+        residuals=model.residuals(omega * tau),
+        errors=model.error(omega * tau),
+        contact_tau=np.empty((count, 0)),
+        strain=model.strain,
+        prestress=model.prestress,
+        packing=model.packing,
         notes=(*model.notes, *unstable(model, float(np.nanmin([*values.real, model.G0])))),
-    )  # fmt: skip
+    )
 
 
 def _unit(model: Spectrum) -> float:
-    """Return the stiffness k of the packing's potential (:meth:`petscjam.potential.Potential.unit`)."""
+    """Return the stiffness k of the packing's potential (:meth:`petscjam.geometry.potential.Potential.unit`)."""
     law = potential(model.packing["potential"])
     if "diameter" not in model.packing and law.unit(2.0) != 1:
-        raise InputError(
-            f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again"
-        )
+        raise InputError(f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again")
     return law.unit(model.packing.get("diameter", 1.0))
 
 

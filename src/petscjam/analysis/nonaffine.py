@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array, Integers
-from petscjam.damping import ContactDamping
-from petscjam.kinematics import contact_rows, strain_mode
-from petscjam.network import rounded
-from petscjam.packing.packing import Packing
+from petscjam.base.progress import Report
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import rounded
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
-from petscjam.progress import Report
 from petscjam.response.limits import quasistatic
+from petscjam.response.origin import Judged
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.response.result import Judged
+from petscjam.rows.damping import ContactDamping
+from petscjam.rows.kinematics import contact_rows, strain_mode
 
 MOTIONS = ("parallel", "transverse", "nonaffine")
 
@@ -134,10 +134,19 @@ def quasistatic_response(
     modulus, stretching, slack = rounded([modulus, stretching, slack], problem.rounding[0]).tolist()
     return QuasistaticResponse(
         shear_modulus=modulus,
-        parallel=parallel, transverse=transverse,
+        parallel=parallel,
+        transverse=transverse,
         nonaffine=problem.displacement(q)[network.backbone].real,
-        stretching=stretching, pre_stress=slack, disks=np.flatnonzero(network.backbone),
-        contacts=np.stack([network.i, network.j], axis=1), residual=residual,
-        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain,
-        prestress=prestress, packing=describe(problem, name), geometry=packing, notes=tuple(problem.notes),
-    )  # fmt: skip
+        stretching=stretching,
+        pre_stress=slack,
+        disks=np.flatnonzero(network.backbone),
+        contacts=np.stack([network.i, network.j], axis=1),
+        residual=residual,
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
+        strain=strain,
+        prestress=prestress,
+        packing=describe(problem, name),
+        geometry=packing,
+        notes=tuple(problem.notes),
+    )

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
-from petscjam.box import Array, Integers
-from petscjam.packing.packing import Packing
-from petscjam.progress import Report, part
+from petscjam.base.progress import Report, part
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.packing import Packing
 from petscjam.response.modes import lowest_modes
 
 POINTS = 40  # numbers of modes, evenly in their logarithm
@@ -94,9 +94,17 @@ def rebuilt_response(
         sizes = abs(motion.parallel), abs(motion.transverse), np.linalg.norm(motion.nonaffine, axis=1)
         medians[:, k] = [np.median(size) for size in sizes]
     return Rebuilt(
-        counts=counts, medians=medians,
+        counts=counts,
+        medians=medians,
         direct=np.array([np.median(direct.sizes(motion)) for motion in MOTIONS]),
-        frequencies=found.frequencies, floppiness=found.floppiness, participation=found.participation,
-        softening=found.softening, modes=2 * len(found.disks) - 2, complete=found.complete, strain=strain,
-        prestress=prestress, packing=found.packing, notes=found.notes,
-    )  # fmt: skip
+        frequencies=found.frequencies,
+        floppiness=found.floppiness,
+        participation=found.participation,
+        softening=found.softening,
+        modes=2 * len(found.disks) - 2,
+        complete=found.complete,
+        strain=strain,
+        prestress=prestress,
+        packing=found.packing,
+        notes=found.notes,
+    )

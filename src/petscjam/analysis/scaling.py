@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from petscjam.box import Array
-from petscjam.errors import InputError, SolverError
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.types import Array
 
 ESTIMATORS: dict[str, Callable[..., Any]] = {"mean": np.mean, "median": np.median}
 PRIOR = 8  # packings: the weight of the scatter common to all points, in that of one
@@ -91,20 +91,22 @@ def power_law(
     x, values = x[kept], [np.asarray(samples[m], dtype=float) for m in kept]
     if len(np.unique(x)) < 2:
         raise InputError(f"power law: {len(np.unique(x))} different x in {low:g} … {high:g}; it takes two")
-    logs = np.stack([
-        _log_estimates(values[m], estimator, resamples, (seed, m), f"power law, x = {x[m]:g}")
-        for m in range(len(x))
-    ])  # fmt: skip
+    logs = np.stack(
+        [_log_estimates(values[m], estimator, resamples, (seed, m), f"power law, x = {x[m]:g}") for m in range(len(x))]
+    )
     n = np.array([len(packings) for packings in values])
     own = logs[:, 1:].var(axis=1)
     variance = ((n - 1) * own + PRIOR * (n * own).mean() / n) / (n - 1 + PRIOR)
     slopes, intercepts = np.polyfit(np.log(x), logs, 1, w=variance**-0.5)
     chi2 = ((logs[:, 0] - slopes[0] * np.log(x) - intercepts[0]) ** 2 / variance).sum()
     return PowerFit(
-        exponent=float(slopes[0]), error=float(slopes[1:].std()), prefactor=float(np.exp(intercepts[0])),
-        window=(float(x[0]), float(x[-1])), points=len(x),
+        exponent=float(slopes[0]),
+        error=float(slopes[1:].std()),
+        prefactor=float(np.exp(intercepts[0])),
+        window=(float(x[0]), float(x[-1])),
+        points=len(x),
         chi2=float(chi2 / (len(x) - 2)) if len(x) > 2 else np.nan,
-    )  # fmt: skip
+    )
 
 
 def local_exponents(
@@ -124,8 +126,7 @@ def local_exponents(
     if not 2 <= points <= len(rising):
         raise InputError(f"local exponents: windows of {points} points, of {len(rising)} different x")
     return tuple(
-        power_law(x, samples, (rising[m], rising[m + points - 1]), **settings)
-        for m in range(len(rising) - points + 1)
+        power_law(x, samples, (rising[m], rising[m + points - 1]), **settings) for m in range(len(rising) - points + 1)
     )
 
 
@@ -280,9 +281,13 @@ def collapse(
 
     def best(begin: Array, b: int) -> Array:
         corners = begin + STEP * np.vstack([np.zeros(len(names)), np.eye(len(names))])
-        found = minimize(cost, begin, args=(b,), method="Nelder-Mead", options={
-            "initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(names),
-        })  # fmt: skip
+        found = minimize(
+            cost,
+            begin,
+            args=(b,),
+            method="Nelder-Mead",
+            options={"initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(names)},
+        )
         if not found.success:
             raise SolverError(f"collapse: the search does not end: {found.message}")
         return np.asarray(found.x)
@@ -293,24 +298,27 @@ def collapse(
     except TypeError as error:
         raise InputError(f"collapse: the form does not fit the exponents and parameters: {error}") from error
     if not shared >= least_overlap:
-        raise InputError(f"collapse: at the start curves share {shared:.2g} of their length, less than "
-                         f"{least_overlap:g}: start elsewhere, or lower least_overlap")  # fmt: skip
+        raise InputError(
+            f"collapse: at the start curves share {shared:.2g} of their length, less than "
+            f"{least_overlap:g}: start elsewhere, or lower least_overlap"
+        )
     fit = best(first, 0)
     shared = overlap(scaled(fit)[0])
     if shared < least_overlap + 0.02:
-        raise SolverError(f"collapse: the curves agree best where they share only {shared:.2g} of their "
-                          "length: they do not collapse")  # fmt: skip
+        raise SolverError(
+            f"collapse: the curves agree best where they share only {shared:.2g} of their length: they do not collapse"
+        )
     resampled = np.array([best(fit, b) for b in range(1, resamples + 1)])
     return Collapse(
         exponents=dict(zip(names, fit.tolist(), strict=True)),
         errors=dict(zip(names, resampled.std(axis=0).tolist(), strict=True)),
-        quality=cost(fit, 0), overlap=shared, resampled=resampled,
-    )  # fmt: skip
+        quality=cost(fit, 0),
+        overlap=shared,
+        resampled=resampled,
+    )
 
 
-def quality(
-    x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], covariance: Sequence[Array]
-) -> float:
+def quality(x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], covariance: Sequence[Array]) -> float:
     """Return how far curves are from each other, in squared standard errors: 1 if they agree within these.
 
     A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). Where curves share a stretch of
@@ -361,14 +369,14 @@ def overlap(x: Sequence[Array]) -> float:
     return float(((np.minimum(reached, high) - low) / shorter).min())
 
 
-def _log_curve(
-    curve: Curve, estimator: str, resamples: int, seed: tuple[int, ...], where: str
-) -> tuple[Array, Array]:
+def _log_curve(curve: Curve, estimator: str, resamples: int, seed: tuple[int, ...], where: str) -> tuple[Array, Array]:
     """Return ln x, rising, and ln y (1 + b, q, w)."""
     x, samples = np.asarray(curve.x, dtype=float), np.asarray(curve.samples, dtype=float)
     if x.ndim != 1 or samples.ndim not in (2, 3) or samples.shape[-1] != len(x) or len(np.unique(x)) < 2:
-        raise InputError(f"{where}: x {x.shape} and samples {samples.shape} are not (w,) and (k, w) or "
-                         "(k, q, w) with two different x")  # fmt: skip
+        raise InputError(
+            f"{where}: x {x.shape} and samples {samples.shape} are not (w,) and (k, w) or "
+            "(k, q, w) with two different x"
+        )
     if len(np.unique(x)) < len(x):
         raise InputError(f"{where}: the same x twice")
     _check_positive(f"{where}: x", x)
@@ -377,9 +385,7 @@ def _log_curve(
     return np.log(x[rising]), _log_estimates(samples, estimator, resamples, seed, where)
 
 
-def _log_estimates(
-    samples: Array, estimator: str, resamples: int, seed: tuple[int, ...], where: str
-) -> Array:
+def _log_estimates(samples: Array, estimator: str, resamples: int, seed: tuple[int, ...], where: str) -> Array:
     """Return the logarithm of the mean or median over packings, and of that of each resample, (1 + b, …)."""
     if estimator not in ESTIMATORS:
         raise InputError(f"estimator {estimator!r} is not one of {', '.join(ESTIMATORS)}")

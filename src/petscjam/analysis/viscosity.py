@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from petscjam.damping import DampingLaw, law_or_default
-from petscjam.kinematics import strain_mode
-from petscjam.packing.packing import Packing
+from petscjam.base.progress import Report
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
-from petscjam.progress import Report
 from petscjam.response.limits import zero_frequency
+from petscjam.response.origin import Judged
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.response.result import Judged
+from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.kinematics import strain_mode
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,14 @@ def viscosity(
     if progress:
         progress(1.0, f"residual {low.residual:.0e}")
     return Viscosity(
-        eta0=low.eta, G0=low.G, residual=low.residual, negative_modes=problem.negative_modes,
-        zero_modes=problem.zero_modes, damping=law, strain=strain, prestress=prestress,
-        packing=describe(problem, name), notes=tuple(problem.notes),
-    )  # fmt: skip
+        eta0=low.eta,
+        G0=low.G,
+        residual=low.residual,
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
+        damping=law,
+        strain=strain,
+        prestress=prestress,
+        packing=describe(problem, name),
+        notes=tuple(problem.notes),
+    )

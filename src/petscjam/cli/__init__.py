@@ -16,9 +16,9 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import Any
 
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import Interrupted, listening
 from petscjam.cli.streams import Stream
-from petscjam.errors import InputError, SolverError
-from petscjam.interrupt import Interrupted, listening
 
 STOPPING = 10.0  # seconds that ranks wait for each other where a signal stops them
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from petscjam.base.errors import InputError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import all_packings, finish, say
-from petscjam.damping import DampingLaw
-from petscjam.errors import InputError
 from petscjam.parallel.comm import on_root
+from petscjam.rows.damping import DampingLaw
 
 
 def nonaffine(options: argparse.Namespace, comm: Any) -> None:
@@ -56,9 +56,7 @@ def drag(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.analysis.contact_drag import self_consistent_drag
     from petscjam.analysis.drag import equivalent_drag
 
-    settings = {
-        "omegas": options.omega, "stress": options.stress, "alpha": options.alpha, "strain": options.strain,
-    }  # fmt: skip
+    settings = {"omegas": options.omega, "stress": options.stress, "alpha": options.alpha, "strain": options.strain}
     _survey(options, comm, equivalent_drag if options.uniform else self_consistent_drag, settings)
 
 
@@ -71,9 +69,9 @@ def viscosity(options: argparse.Namespace, comm: Any) -> None:
 
 def figure(options: argparse.Namespace, comm: Any) -> None:
     """Make a figure from packings on."""
+    from petscjam.base.progress import progress
     from petscjam.figures import make_figure
     from petscjam.parallel.petsc import start
-    from petscjam.progress import progress
 
     start(comm)
     folder = options.output or Path("runs") / options.preset
@@ -83,10 +81,17 @@ def figure(options: argparse.Namespace, comm: Any) -> None:
 
     with progress(f"figure {options.name}", show=comm.rank == 0) as report:
         make_figure(
-            options.name, options.preset, folder, file=options.parameters, comm=comm,
+            options.name,
+            options.preset,
+            folder,
+            file=options.parameters,
+            comm=comm,
             overwrite=options.overwrite,
-            resume=options.resume, existing=options.existing, progress=report, log=log,
-        )  # fmt: skip
+            resume=options.resume,
+            existing=options.existing,
+            progress=report,
+            log=log,
+        )
     say(comm, on_root(comm, (folder / f"{options.name}.md").read_text))
     say(comm, f"{folder / options.name}.png")
 
@@ -98,20 +103,29 @@ def _survey(
     settings: Mapping[str, Any],
     laws: Sequence[DampingLaw | None] = (None,),
 ) -> None:
-    from petscjam.ensemble import survey
+    from petscjam.base.progress import progress
+    from petscjam.io.jobs import survey
     from petscjam.io.results import read_results
     from petscjam.parallel.claims import claimed
     from petscjam.parallel.petsc import start
-    from petscjam.progress import progress
-    from petscjam.report import table
+    from petscjam.plots.tables import table
 
     start(comm)
     with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
         made, failures = survey(
-            on_root(comm, all_packings, options), options.output, analyse, settings, laws=laws,
-            prestress=options.prestress, comm=comm, team_size=options.team_size, resume=options.resume,
-            overwrite=options.overwrite, progress=report, log=lambda line: print(line, flush=True),
-        )  # fmt: skip
+            on_root(comm, all_packings, options),
+            options.output,
+            analyse,
+            settings,
+            laws=laws,
+            prestress=options.prestress,
+            comm=comm,
+            team_size=options.team_size,
+            resume=options.resume,
+            overwrite=options.overwrite,
+            progress=report,
+            log=lambda line: print(line, flush=True),
+        )
     if made or options.resume:
         say(comm, on_root(comm, lambda: table(read_results(options.output))))
     finish(failures, "results")

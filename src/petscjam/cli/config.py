@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
-from petscjam.errors import InputError
-from petscjam.storage import naming
+from petscjam.base.errors import InputError
+from petscjam.base.files import naming
 
 
 def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:

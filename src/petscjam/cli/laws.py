@@ -7,8 +7,8 @@ from dataclasses import Field, fields
 from itertools import product
 from typing import Any
 
-from petscjam.damping import LAWS, ContactDamping, DampingLaw
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.rows.damping import LAWS, ContactDamping, DampingLaw
 
 
 def option(item: Field) -> str:

@@ -7,19 +7,8 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, NoReturn
 
-from petscjam import ranges
-from petscjam.cli import analyses, shearing, verbs
-from petscjam.cli.config import settings
-from petscjam.cli.laws import option
-from petscjam.damping import LAWS
-from petscjam.errors import InputError
-from petscjam.figures import FIGURES
-from petscjam.kinematics import STRAINS
-from petscjam.md.model import BULK, INTEGRATORS, MODELS
-from petscjam.packing.prepare import BUDGET, METHODS
-from petscjam.potential import POTENTIALS
-from petscjam.storage import release
-from petscjam.values import (
+from petscjam.base import ranges
+from petscjam.base.arguments import (
     Within,
     diameters,
     evenly,
@@ -34,6 +23,17 @@ from petscjam.values import (
     triple,
     whole,
 )
+from petscjam.base.errors import InputError
+from petscjam.base.files import release
+from petscjam.cli import analyses, shearing, verbs
+from petscjam.cli.config import settings
+from petscjam.cli.laws import option
+from petscjam.figures import FIGURES
+from petscjam.geometry.potential import POTENTIALS
+from petscjam.md.model import BULK, INTEGRATORS, MODELS
+from petscjam.preparation.prepare import BUDGET, METHODS
+from petscjam.rows.damping import LAWS
+from petscjam.rows.kinematics import STRAINS
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -75,39 +75,82 @@ def build_parser() -> Parser:
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
     p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at target pressures", RANKS)
-    p.add_argument("--particles", type=Within(whole, ranges.PREPARED), default="1024", metavar="N,…",
-                   help="numbers of disks (default 1024)")  # fmt: skip
-    p.add_argument("--pressure", type=points, default="1e-3", metavar="P",
-                   help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
-                        "counted (default 1e-3)")  # fmt: skip
-    either = p.add_mutually_exclusive_group()
-    either.add_argument(
-        "--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)"
+    p.add_argument(
+        "--particles",
+        type=Within(whole, ranges.PREPARED),
+        default="1024",
+        metavar="N,…",
+        help="numbers of disks (default 1024)",
     )
-    either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B",
-                        help="many seeds: A to B, both counted, or a list A,B,…")  # fmt: skip
-    p.add_argument("--shear-stabilised", action="store_true",
-                   help="relax the shape of the cell, too; stable against shear")  # fmt: skip
-    p.add_argument("--decompress", action="store_true",
-                   help="start each pressure from the packing of the next higher one")  # fmt: skip
-    p.add_argument("--ratio", type=Within(number, ranges.RATIO), default=1.4, metavar="X",
-                   help="diameter of large disks over that of small ones (default 1.4)")  # fmt: skip
-    p.add_argument("--composition", type=Within(number, ranges.COMPOSITION), default=0.5, metavar="X",
-                   help="share of small disks, by number (default 0.5)")  # fmt: skip
-    p.add_argument("--polydispersity", type=Within(number, ranges.POLYDISPERSITY), default=0.0, metavar="X",
-                   help="standard deviation over mean of the diameters of each kind (default 0)")  # fmt: skip
-    p.add_argument("--potential", choices=POTENTIALS, default="harmonic",
-                   help="contact potential (default harmonic)")  # fmt: skip
-    p.add_argument("--method", choices=METHODS, default="fire",
-                   help="minimiser: FIRE or nonlinear conjugate gradients (default fire)")  # fmt: skip
-    p.add_argument("--threads", type=Within(integer, ranges.THREADS), metavar="T",
-                   help="threads of each rank (default: its share of the cores if the packings are large and "
-                        "few, else 1)")  # fmt: skip
-    p.add_argument("--budget", type=Within(integer, ranges.BUDGET), default=BUDGET, metavar="E",
-                   help=f"evaluations of the force for each packing (default {BUDGET})")  # fmt: skip
-    p.add_argument("--config", type=path, metavar="FILE.toml",
-                   help="settings by the names of these options, as pressure = \"1e-2:1e-4:9\"; the command "
-                        "line counts more")  # fmt: skip
+    p.add_argument(
+        "--pressure",
+        type=points,
+        default="1e-3",
+        metavar="P",
+        help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
+        "counted (default 1e-3)",
+    )
+    either = p.add_mutually_exclusive_group()
+    either.add_argument("--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)")
+    either.add_argument(
+        "--seeds",
+        type=Within(seeds, ranges.SEED),
+        metavar="A:B",
+        help="many seeds: A to B, both counted, or a list A,B,…",
+    )
+    p.add_argument(
+        "--shear-stabilised", action="store_true", help="relax the shape of the cell, too; stable against shear"
+    )
+    p.add_argument(
+        "--decompress", action="store_true", help="start each pressure from the packing of the next higher one"
+    )
+    p.add_argument(
+        "--ratio",
+        type=Within(number, ranges.RATIO),
+        default=1.4,
+        metavar="X",
+        help="diameter of large disks over that of small ones (default 1.4)",
+    )
+    p.add_argument(
+        "--composition",
+        type=Within(number, ranges.COMPOSITION),
+        default=0.5,
+        metavar="X",
+        help="share of small disks, by number (default 0.5)",
+    )
+    p.add_argument(
+        "--polydispersity",
+        type=Within(number, ranges.POLYDISPERSITY),
+        default=0.0,
+        metavar="X",
+        help="standard deviation over mean of the diameters of each kind (default 0)",
+    )
+    p.add_argument("--potential", choices=POTENTIALS, default="harmonic", help="contact potential (default harmonic)")
+    p.add_argument(
+        "--method",
+        choices=METHODS,
+        default="fire",
+        help="minimiser: FIRE or nonlinear conjugate gradients (default fire)",
+    )
+    p.add_argument(
+        "--threads",
+        type=Within(integer, ranges.THREADS),
+        metavar="T",
+        help="threads of each rank (default: its share of the cores if the packings are large and few, else 1)",
+    )
+    p.add_argument(
+        "--budget",
+        type=Within(integer, ranges.BUDGET),
+        default=BUDGET,
+        metavar="E",
+        help=f"evaluations of the force for each packing (default {BUDGET})",
+    )
+    p.add_argument(
+        "--config",
+        type=path,
+        metavar="FILE.toml",
+        help='settings by the names of these options, as pressure = "1e-2:1e-4:9"; the command line counts more',
+    )
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
     p = add(
@@ -140,9 +183,7 @@ def build_parser() -> Parser:
         "lammps (a folder with the input of the same disks); default: as OUT ends, or xyz or csv",
     )
     p.add_argument(
-        "--group",
-        metavar="NAME",
-        help="which modulus of a file with several; with --average a pattern, as 'N1024*'",
+        "--group", metavar="NAME", help="which modulus of a file with several; with --average a pattern, as 'N1024*'"
     )
     p.add_argument(
         "--average",
@@ -161,15 +202,21 @@ def build_parser() -> Parser:
         metavar="RANGE",
         help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
     )
-    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X",
-                   help="lammps: how far its input shears (default 1)")  # fmt: skip
+    p.add_argument(
+        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="lammps: how far its input shears (default 1)"
+    )
     output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
-    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-8:1e2:61", metavar="RANGE",
-                   help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
-                        "or a list A,B,… (default 1e-8:1e2:61)")  # fmt: skip
+    p.add_argument(
+        "--omega",
+        type=Within(frequencies, ranges.OMEGA),
+        default="1e-8:1e2:61",
+        metavar="RANGE",
+        help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
+        "or a list A,B,… (default 1e-8:1e2:61)",
+    )
     damping(p)
     strain_and_prestress(p)
     p.add_argument(
@@ -179,16 +226,23 @@ def build_parser() -> Parser:
         metavar="RANGE",
         help="frequencies in 1/tau1 (nearest of the sweep) whose displacements are kept",
     )
-    p.add_argument("--rtol", type=number, metavar="X",
-                   help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
-                        "frequency (default 1e-6)")  # fmt: skip
-    p.add_argument("--direct", action="store_true",
-                   help="one factorisation a frequency instead of the reduced model")  # fmt: skip
+    p.add_argument(
+        "--rtol",
+        type=number,
+        metavar="X",
+        help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
+        "frequency (default 1e-6)",
+    )
+    p.add_argument("--direct", action="store_true", help="one factorisation a frequency instead of the reduced model")
     team_size(p)
     p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
-    p.add_argument("--block-low-rank", type=Within(number, ranges.COMPRESSION), default=0.0, metavar="X",
-                   help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it "
-                        "(default 0: exact)")  # fmt: skip
+    p.add_argument(
+        "--block-low-rank",
+        type=Within(number, ranges.COMPRESSION),
+        default=0.0,
+        metavar="X",
+        help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it (default 0: exact)",
+    )
     output(p, "OUT.h5", "results, one group a packing")
 
     text = "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain"
@@ -200,9 +254,7 @@ def build_parser() -> Parser:
 
     p = add(known, "modes", analyses.modes, "lowest modes of the stiffness, or slowest relaxations", RANKS)
     packings(p)
-    p.add_argument(
-        "--count", type=Within(integer, ranges.MODES), default=50, metavar="M", help="how many (default 50)"
-    )
+    p.add_argument("--count", type=Within(integer, ranges.MODES), default=50, metavar="M", help="how many (default 50)")
     text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
     p.add_argument("--relaxation", action="store_true", help=text)
     damping(p)
@@ -215,15 +267,9 @@ def build_parser() -> Parser:
     text = "Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)"
     p.add_argument("--moments", type=Within(integer, ranges.MOMENTS), default=1024, metavar="M", help=text)
     p.add_argument(
-        "--vectors",
-        type=Within(integer, ranges.VECTORS),
-        default=16,
-        metavar="V",
-        help="random vectors (default 16)",
+        "--vectors", type=Within(integer, ranges.VECTORS), default=16, metavar="V", help="random vectors (default 16)"
     )
-    p.add_argument(
-        "--seed", type=Within(integer, ranges.SEED), default=1, help="of the random vectors (default 1)"
-    )
+    p.add_argument("--seed", type=Within(integer, ranges.SEED), default=1, help="of the random vectors (default 1)")
     prestress(p)
     team_size(p)
     output(p, "OUT.h5", "D(omega) with its error and resolution")
@@ -232,8 +278,13 @@ def build_parser() -> Parser:
     p = add(known, "correlations", analyses.correlations, text, RANKS)
     packings(p)
     text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default {})"
-    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-8:1e0:9", metavar="RANGE",
-                   help=text.format("1e-8:1e0:9"))  # fmt: skip
+    p.add_argument(
+        "--omega",
+        type=Within(frequencies, ranges.OMEGA),
+        default="1e-8:1e0:9",
+        metavar="RANGE",
+        help=text.format("1e-8:1e0:9"),
+    )
     damping(p)
     prestress(p)
     p.add_argument(
@@ -242,25 +293,32 @@ def build_parser() -> Parser:
         metavar="X",
         help="height of a lane, in the length unit of the packing (default: a mean diameter)",
     )
-    p.add_argument("--bin", type=number, metavar="X",
-                   help="step of the distance along x (default: half a mean diameter)")  # fmt: skip
+    p.add_argument(
+        "--bin", type=number, metavar="X", help="step of the distance along x (default: half a mean diameter)"
+    )
     team_size(p)
     output(p, "OUT.h5", "C(distance) at peak and at zero stress")
 
     what = "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping"
     p = add(known, "drag", analyses.drag, what, RANKS)
     packings(p)
-    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-6:1e1:29", metavar="RANGE",
-                   help=text.format("1e-6:1e1:29"))  # fmt: skip
     p.add_argument(
-        "--stress",
-        type=Within(number, ranges.STRESS),
-        required=True,
-        metavar="X",
-        help="amplitude of the stress, in k",
+        "--omega",
+        type=Within(frequencies, ranges.OMEGA),
+        default="1e-6:1e1:29",
+        metavar="RANGE",
+        help=text.format("1e-6:1e1:29"),
     )
-    p.add_argument("--alpha", type=Within(number, ranges.ALPHA), default=2 / 3, metavar="X",
-                   help="exponent of the force law, above 0; 1 is linear (default 2/3)")  # fmt: skip
+    p.add_argument(
+        "--stress", type=Within(number, ranges.STRESS), required=True, metavar="X", help="amplitude of the stress, in k"
+    )
+    p.add_argument(
+        "--alpha",
+        type=Within(number, ranges.ALPHA),
+        default=2 / 3,
+        metavar="X",
+        help="exponent of the force law, above 0; 1 is linear (default 2/3)",
+    )
     p.add_argument(
         "--uniform",
         action="store_true",
@@ -279,18 +337,31 @@ def build_parser() -> Parser:
 
     text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
-    p.add_argument("--rate", type=Within(numbers, ranges.RATE), metavar="X,…",
-                   help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)")  # fmt: skip
     p.add_argument(
-        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="to shear by (default 10)"
+        "--rate",
+        type=Within(numbers, ranges.RATE),
+        metavar="X,…",
+        help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)",
     )
-    p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…",
-                   help="go on at other strain rates; 0:TIME is rest, for a time in tau_e")  # fmt: skip
-    p.add_argument("--bulk", choices=BULK,
-                   help="what a change of the strain rate does at once: scale velocities and spins, add the "
-                        "change of the linear profile, or move the edge alone (default scale)")  # fmt: skip
-    p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES",
-                   help="shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e")  # fmt: skip
+    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help="to shear by (default 10)")
+    p.add_argument(
+        "--then",
+        type=pairs,
+        metavar="RATE:STRAIN,…",
+        help="go on at other strain rates; 0:TIME is rest, for a time in tau_e",
+    )
+    p.add_argument(
+        "--bulk",
+        choices=BULK,
+        help="what a change of the strain rate does at once: scale velocities and spins, add the "
+        "change of the linear profile, or move the edge alone (default scale)",
+    )
+    p.add_argument(
+        "--oscillate",
+        type=triple,
+        metavar="AMPLITUDE:OMEGA:CYCLES",
+        help="shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e",
+    )
     disks(p)
 
     text = "raise the strain rate step by step, and lower it again (VOT eqs. 38-41)"
@@ -301,48 +372,65 @@ def build_parser() -> Parser:
         metavar="X,…",
         help="first strain rate, in 1/tau_e (default 1e-6)",
     )
-    p.add_argument("--to", type=Within(number, ranges.RATE_SIZE), default=1e-3, metavar="X",
-                   help="strain rate at which it turns, in 1/tau_e (default 1e-3)")  # fmt: skip
-    p.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X",
-                   help="decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)")  # fmt: skip
+    p.add_argument(
+        "--to",
+        type=Within(number, ranges.RATE_SIZE),
+        default=1e-3,
+        metavar="X",
+        help="strain rate at which it turns, in 1/tau_e (default 1e-3)",
+    )
+    p.add_argument(
+        "--kappa",
+        type=Within(number, ranges.KAPPA),
+        default=1e-5,
+        metavar="X",
+        help="decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)",
+    )
     disks(p)
 
     listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
-    p = add(
-        known, "figure", analyses.figure, "draw a figure of Baumgarten & Tighe 2017 from packings on", RANKS
-    )
+    p = add(known, "figure", analyses.figure, "draw a figure of Baumgarten & Tighe 2017 from packings on", RANKS)
     p.add_argument("name", metavar="NAME", help=listing)
-    p.add_argument("--preset", default="small", metavar="NAME",
-                   help="small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: "
-                        "hours to days)")  # fmt: skip
+    p.add_argument(
+        "--preset",
+        default="small",
+        metavar="NAME",
+        help="small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: hours to days)",
+    )
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)
-    p.add_argument("--existing", action="store_true",
-                   help="prepare no packings, go on with those in the folder")  # fmt: skip
+    p.add_argument("--existing", action="store_true", help="prepare no packings, go on with those in the folder")
     text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 
-    text = (
-        "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
-    )
+    text = "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
     p = add(known, "plot", verbs.plot, text)
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     text = "of a sheared run: packing fraction and strain rate around each disk at its end (VOT fig. 27)"
     p.add_argument("--maps", action="store_true", help=text)
-    output(p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)",
-           required=False, resume=False)  # fmt: skip
+    output(
+        p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)", required=False, resume=False
+    )
     return parser
 
 
 def reading(p: Parser) -> None:
     """Add what a file of another program may not say."""
-    p.add_argument("--index", type=Within(integer, ranges.INDEX), default=0, metavar="K",
-                   help="which packing of a file with several, from 0 on (default 0)")  # fmt: skip
+    p.add_argument(
+        "--index",
+        type=Within(integer, ranges.INDEX),
+        default=0,
+        metavar="K",
+        help="which packing of a file with several, from 0 on (default 0)",
+    )
     text = "contact potential of a file that does not say it (default harmonic; of jsrc harmonic-relative)"
     p.add_argument("--potential", choices=POTENTIALS, help=text)
-    p.add_argument("--diameters", type=diameters, metavar="TYPE:X,…",
-                   help="diameter of each type of disks, in the length unit of the file, for a file without "
-                        "radii, as 1:1.0,2:1.4")  # fmt: skip
+    p.add_argument(
+        "--diameters",
+        type=diameters,
+        metavar="TYPE:X,…",
+        help="diameter of each type of disks, in the length unit of the file, for a file without radii, as 1:1.0,2:1.4",
+    )
 
 
 def packings(p: Parser) -> None:
@@ -352,50 +440,94 @@ def packings(p: Parser) -> None:
 
 def disks(p: Parser) -> None:
     """Add what is sheared, and how it is integrated."""
-    p.add_argument("--model", type=lambda text: text.split(","), metavar="NAME,…",
-                   help=f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below",
-                   )  # fmt: skip
+    p.add_argument(
+        "--model",
+        type=lambda text: text.split(","),
+        metavar="NAME,…",
+        help=f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below",
+    )
     damping(p)
     p.add_argument(
-        "--particles",
-        type=Within(whole, ranges.SHEARED),
-        metavar="N,…",
-        help="numbers of disks, even (default 1024)",
+        "--particles", type=Within(whole, ranges.SHEARED), metavar="N,…", help="numbers of disks, even (default 1024)"
     )
-    p.add_argument("--phi", type=Within(evenly, ranges.PHI), metavar="X,…",
-                   help="packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)")  # fmt: skip
-    p.add_argument("--Q", type=Within(numbers, ranges.Q), default="1", metavar="X,…",
-                   help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
-                   )  # fmt: skip
+    p.add_argument(
+        "--phi",
+        type=Within(evenly, ranges.PHI),
+        metavar="X,…",
+        help="packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)",
+    )
+    p.add_argument(
+        "--Q",
+        type=Within(numbers, ranges.Q),
+        default="1",
+        metavar="X,…",
+        help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
+    )
     either = p.add_mutually_exclusive_group()
-    either.add_argument(
-        "--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)"
-    )
+    either.add_argument("--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)")
     either.add_argument(
         "--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help="many seeds: A to B, both counted"
     )
-    p.add_argument("--start", type=path, metavar="FILE",
-                   help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
-                        "(export --to lammps), not at random")  # fmt: skip
-    p.add_argument("--integrator", choices=INTEGRATORS, default="heun",
-                   help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
-                   )  # fmt: skip
-    p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X",
-                   help="time step in tau_e, divided where the contacts demand it (default: one that keeps "
-                        "the energy budget within 1 percent, at most 0.05)")  # fmt: skip
-    p.add_argument("--exponent", type=Within(number, ranges.EXPONENT), metavar="X",
-                   help="of the repulsion V ~ overlap^X (default 2, or that of --start)")  # fmt: skip
-    p.add_argument("--drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X",
-                   help="Stokes drag on disks, in m/tau_e (default 0)")  # fmt: skip
-    p.add_argument("--spin-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X",
-                   help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)")  # fmt: skip
-    p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T",
-                   help="of a run; they pay from 10000 disks on (default 1)")  # fmt: skip
-    p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X",
-                   help="tau_e between rows of the time series, at least 50 steps (default a thousandth of "
-                        "the run; ramp: 1000)")  # fmt: skip
-    p.add_argument("--frames", type=Within(integer, ranges.FRAMES), default=0, metavar="K",
-                   help="snapshots for OVITO, in the folder OUT.frames (default 0)")  # fmt: skip
+    p.add_argument(
+        "--start",
+        type=path,
+        metavar="FILE",
+        help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
+        "(export --to lammps), not at random",
+    )
+    p.add_argument(
+        "--integrator",
+        choices=INTEGRATORS,
+        default="heun",
+        help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
+    )
+    p.add_argument(
+        "--dt",
+        type=Within(number, ranges.DT),
+        metavar="X",
+        help="time step in tau_e, divided where the contacts demand it (default: one that keeps "
+        "the energy budget within 1 percent, at most 0.05)",
+    )
+    p.add_argument(
+        "--exponent",
+        type=Within(number, ranges.EXPONENT),
+        metavar="X",
+        help="of the repulsion V ~ overlap^X (default 2, or that of --start)",
+    )
+    p.add_argument(
+        "--drag",
+        type=Within(number, ranges.DRAG),
+        default=0.0,
+        metavar="X",
+        help="Stokes drag on disks, in m/tau_e (default 0)",
+    )
+    p.add_argument(
+        "--spin-drag",
+        type=Within(number, ranges.DRAG),
+        default=0.0,
+        metavar="X",
+        help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)",
+    )
+    p.add_argument(
+        "--threads",
+        type=Within(integer, ranges.THREADS),
+        default=1,
+        metavar="T",
+        help="of a run; they pay from 10000 disks on (default 1)",
+    )
+    p.add_argument(
+        "--row-time",
+        type=Within(number, ranges.ROW_TIME),
+        metavar="X",
+        help="tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)",
+    )
+    p.add_argument(
+        "--frames",
+        type=Within(integer, ranges.FRAMES),
+        default=0,
+        metavar="K",
+        help="snapshots for OVITO, in the folder OUT.frames (default 0)",
+    )
     output(p, "RUN.h5", "the run, or a folder for several")
 
 
@@ -409,14 +541,16 @@ def damping(p: Parser) -> None:
                 p.add_argument(option(item), dest=item.name, action="store_const", const=False, help=text)
             else:
                 text += f"; a list A,B,… or A:B:N for several (default {item.default:g})"
-                p.add_argument(option(item), dest=item.name, type=Within(numbers, ranges.FRICTION),
-                               metavar="X,…", help=text)  # fmt: skip
+                p.add_argument(
+                    option(item), dest=item.name, type=Within(numbers, ranges.FRICTION), metavar="X,…", help=text
+                )
 
 
 def strain_and_prestress(p: Parser) -> None:
     """Add the mode of deformation, and pre-stress."""
-    p.add_argument("--strain", choices=STRAINS, default="simple-shear",
-                   help="mode of deformation (default simple-shear)")  # fmt: skip
+    p.add_argument(
+        "--strain", choices=STRAINS, default="simple-shear", help="mode of deformation (default simple-shear)"
+    )
     prestress(p)
 
 
@@ -424,17 +558,30 @@ def prestress(p: Parser) -> None:
     """Add which terms of K count."""
     either = p.add_mutually_exclusive_group()
     p.set_defaults(prestress=[True])
-    either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False],
-                        help="leave out the forces of the initial state")  # fmt: skip
-    either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False],
-                        help="with and without these, side by side")  # fmt: skip
+    either.add_argument(
+        "--no-prestress",
+        dest="prestress",
+        action="store_const",
+        const=[False],
+        help="leave out the forces of the initial state",
+    )
+    either.add_argument(
+        "--prestress-both",
+        dest="prestress",
+        action="store_const",
+        const=[True, False],
+        help="with and without these, side by side",
+    )
 
 
 def team_size(p: Parser) -> None:
     """Add how ranks share the work."""
-    p.add_argument("--team-size", type=Within(integer, ranges.RANKS), metavar="R",
-                   help="ranks that work on a packing together (default 1; more where packings are few or "
-                        "large)")  # fmt: skip
+    p.add_argument(
+        "--team-size",
+        type=Within(integer, ranges.RANKS),
+        metavar="R",
+        help="ranks that work on a packing together (default 1; more where packings are few or large)",
+    )
 
 
 def add(known: Any, verb: str, work: Callable, text: str, epilog: str = "") -> Parser:

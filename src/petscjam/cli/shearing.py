@@ -8,9 +8,9 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from petscjam.base.errors import DoubtfulWarning, InputError, SolverError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import say
-from petscjam.errors import DoubtfulWarning, InputError, SolverError
 from petscjam.parallel.comm import on_root
 
 
@@ -47,19 +47,18 @@ def ramp(options: argparse.Namespace, comm: Any) -> None:
 
 
 def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[float]) -> None:
+    from petscjam.base.progress import progress
     from petscjam.md.grid import grid, run_grid
     from petscjam.md.runs import run
-    from petscjam.progress import progress
-    from petscjam.report import describe_run
+    from petscjam.plots.tables import describe_run
 
     if options.model and law_options(options):
         raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
     models: list[Any] = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
     common = {
         name: getattr(options, name)
-        for name in ("start", "integrator", "dt", "threads", "exponent", "drag", "spin_drag", "row_time",
-                     "frames")
-    }  # fmt: skip
+        for name in ("start", "integrator", "dt", "threads", "exponent", "drag", "spin_drag", "row_time", "frames")
+    }
 
     if options.start is not None and options.start.is_dir():
         from petscjam.io.lammps_shear import read_lammps
@@ -88,9 +87,12 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
         def one() -> str:
             with progress(options.verb, show=True) as report:
                 done = work(
-                    **vars(points[0]), output=options.output, resume=options.resume,
-                    overwrite=options.overwrite, progress=report,
-                )  # fmt: skip
+                    **vars(points[0]),
+                    output=options.output,
+                    resume=options.resume,
+                    overwrite=options.overwrite,
+                    progress=report,
+                )
             log(options.output, done)
             return describe_run(done)
 
@@ -100,11 +102,15 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
         raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
     with progress(options.verb, show=comm.rank == 0) as report:
         made, failures = run_grid(
-            points, options.output, work, comm=comm, resume=options.resume, overwrite=options.overwrite,
-            progress=report, log=log,
-        )  # fmt: skip
+            points,
+            options.output,
+            work,
+            comm=comm,
+            resume=options.resume,
+            overwrite=options.overwrite,
+            progress=report,
+            log=log,
+        )
     say(comm, f"{made} of {len(points)} runs: {options.output}")
     if failures:
-        raise SolverError(
-            "".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)])
-        )
+        raise SolverError("".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)]))

@@ -9,10 +9,10 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.files import naming
 from petscjam.cli.laws import chosen_laws
-from petscjam.errors import InputError, SolverError
 from petscjam.parallel.comm import on_root
-from petscjam.storage import naming
 
 
 def say(comm: Any, text: str) -> None:
@@ -23,15 +23,19 @@ def say(comm: Any, text: str) -> None:
 
 def prepare(options: argparse.Namespace, comm: Any) -> None:
     """Prepare one packing, or a library of several."""
-    from petscjam.packing.library import Recipe, prepare_library
+    from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
-    from petscjam.progress import progress
+    from petscjam.preparation.library import Recipe, prepare_library
 
     recipe = Recipe(
-        shear_stabilised=options.shear_stabilised, decompress=options.decompress, method=options.method,
-        potential_name=options.potential, ratio=options.ratio, composition=options.composition,
+        shear_stabilised=options.shear_stabilised,
+        decompress=options.decompress,
+        method=options.method,
+        potential_name=options.potential,
+        ratio=options.ratio,
+        composition=options.composition,
         polydispersity=options.polydispersity,
-    )  # fmt: skip
+    )
     start(comm)
     several = options.seeds is not None or len(options.particles) * len(options.pressure) > 1
     if not (several or options.decompress or options.output.is_dir()):
@@ -40,29 +44,40 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
     seeds = options.seeds or [_seed(options)]
     with progress("prepare", show=comm.rank == 0) as report:
         library = prepare_library(
-            options.output, options.particles, options.pressure, seeds, comm=comm, resume=options.resume,
-            overwrite=options.overwrite, threads=options.threads, budget=options.budget, progress=report,
+            options.output,
+            options.particles,
+            options.pressure,
+            seeds,
+            comm=comm,
+            resume=options.resume,
+            overwrite=options.overwrite,
+            threads=options.threads,
+            budget=options.budget,
+            progress=report,
             **vars(recipe),
-        )  # fmt: skip
+        )
     made = {row["file"] for row in library.rows}
     reasons = {row["file"]: row["failure"] for row in library.failed}
     failed = sorted(library.tried - made)
     there = len(options.particles) * len(options.pressure) * len(seeds) - len(library.tried)
     proved = sum(row["proved"] is True for row in library.rows)
-    say(comm, f"{len(library.tried) - len(failed)} prepared, {there} there already, {len(failed)} failed: "
-              f"{options.output} ({proved} of {len(library.rows)} proved minima)")  # fmt: skip
+    say(
+        comm,
+        f"{len(library.tried) - len(failed)} prepared, {there} there already, {len(failed)} failed: "
+        f"{options.output} ({proved} of {len(library.rows)} proved minima)",
+    )
     if failed:
         lines = "".join(f"\n  {file}: {reasons.get(file, 'unknown')}" for file in failed)
         raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{lines}")
 
 
 def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Any) -> None:
-    from petscjam.packing.library import exists, threads_for
-    from petscjam.packing.packing import Packing
-    from petscjam.packing.prepare import check, prepare_packing
+    from petscjam.base.files import check_output
+    from petscjam.base.progress import progress
+    from petscjam.geometry.packing import Packing
     from petscjam.parallel.claims import claimed
-    from petscjam.progress import progress
-    from petscjam.storage import check_output
+    from petscjam.preparation.library import exists, threads_for
+    from petscjam.preparation.prepare import check, prepare_packing
 
     n, pressure, seed, file = options.particles[0], float(options.pressure[0]), _seed(options), options.output
 
@@ -99,8 +114,8 @@ def info(options: argparse.Namespace, comm: Any) -> None:
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result, read_results
         from petscjam.md.result import is_run, read, read_folder
-        from petscjam.packing.library import read_library
-        from petscjam.report import describe_library, describe_packing, describe_run, describe_runs, table
+        from petscjam.plots.tables import describe_library, describe_packing, describe_run, describe_runs, table
+        from petscjam.preparation.library import read_library
 
         file, kind = options.file, ""
         if file.is_dir():
@@ -124,8 +139,8 @@ def info(options: argparse.Namespace, comm: Any) -> None:
 
 def import_(options: argparse.Namespace, comm: Any) -> None:
     """Import a packing, and judge it or relax it."""
+    from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
-    from petscjam.progress import progress
 
     if not options.relax and (options.pressure is not None or options.shear_stabilised):
         raise InputError("import: --pressure and --shear-stabilised go with --relax")
@@ -133,11 +148,11 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
         start(comm)
 
     def work() -> None:
+        from petscjam.base.files import check_output
         from petscjam.io.exporters import format_of
         from petscjam.io.importers import import_packing
-        from petscjam.packing.prepare import relax_packing
         from petscjam.parallel.claims import claimed
-        from petscjam.storage import check_output
+        from petscjam.preparation.prepare import relax_packing
 
         format_of(options.output, "h5md", "h5md")
         with claimed(options.output):
@@ -159,7 +174,7 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
 
 
 def _measured(packing: Any) -> str:
-    from petscjam.network import ContactNetwork
+    from petscjam.geometry.network import ContactNetwork
 
     network = ContactNetwork.of(packing)
     return f"p = {network.pressure:.6g} k, phi = {packing.phi:.6f}, Z = {network.Z:.4f}"
@@ -168,7 +183,7 @@ def _measured(packing: Any) -> str:
 def _judged(packing: Any, file: Path) -> Any:
     """Return a packing with a certificate, if it can have one; warn of what is wrong with it."""
     from petscjam.io.importers import imbalance
-    from petscjam.packing.certify import certify
+    from petscjam.preparation.certify import certify
 
     def warn(text: str) -> None:
         print(f"petscjam: warning: {file}{text}", file=sys.stderr, flush=True)
@@ -187,15 +202,15 @@ def export(options: argparse.Namespace, comm: Any) -> None:
     """Export a packing, or a result for rheologists."""
 
     def work() -> None:
-        from petscjam.ensemble import average, export_average
+        from petscjam.base.files import check_output
         from petscjam.io.exporters import FORMATS as PICTURES
         from petscjam.io.exporters import export_packing, format_of
         from petscjam.io.importers import import_packing
+        from petscjam.io.jobs import average, export_average
         from petscjam.io.results import is_result
         from petscjam.io.rheology import FORMATS as CURVES
         from petscjam.io.rheology import export_rheology
         from petscjam.md.result import is_run
-        from petscjam.storage import check_output
 
         if is_run(options.file):
             print(_export_run(options))
@@ -207,9 +222,7 @@ def export(options: argparse.Namespace, comm: Any) -> None:
         default = "csv" if curve else "xyz"
         fmt = format_of(options.output or "", options.to, default)
         if fmt not in known:
-            raise InputError(
-                f"export: {options.file} is a {kind}; its formats are {', '.join(known)}, not {fmt}"
-            )
+            raise InputError(f"export: {options.file} is a {kind}; its formats are {', '.join(known)}, not {fmt}")
         target = options.output or options.file.with_suffix(f".{fmt}")
         check_output(target, overwrite=options.overwrite, inputs=[options.file])
         if curve and options.average:
@@ -223,9 +236,8 @@ def export(options: argparse.Namespace, comm: Any) -> None:
             with naming(options.file):
                 result = _one_result(options)
                 export_rheology(
-                    result, target, fmt, omegas=options.omega, times=options.time,
-                    overwrite=options.overwrite,
-                )  # fmt: skip
+                    result, target, fmt, omegas=options.omega, times=options.time, overwrite=options.overwrite
+                )
             if not result.stable:
                 print(f"petscjam: warning: {target}: {result.state}", file=sys.stderr, flush=True)
         elif options.group or options.average or options.omega is not None or options.time is not None:
@@ -238,11 +250,11 @@ def export(options: argparse.Namespace, comm: Any) -> None:
 
 
 def _export_run(options: argparse.Namespace) -> Path:
+    from petscjam.base.files import check_output
     from petscjam.io.exporters import format_of
     from petscjam.io.lammps_shear import write_lammps
     from petscjam.md.model import model_of
     from petscjam.md.result import export_csv, read
-    from petscjam.storage import check_output
 
     fmt = format_of(options.output or "", options.to, "csv")
     target: Path = options.output or options.file.with_suffix(f".{fmt}")
@@ -259,10 +271,14 @@ def _export_run(options: argparse.Namespace) -> Path:
         model, dt = model_of(run.settings), run.settings["dt"]
         divided = run.rows["parts"].max() > 1
         write_lammps(
-            run.state, model, target, rate=run.state.rate,
+            run.state,
+            model,
+            target,
+            rate=run.state.rate,
             strain=1.0 if options.strain is None else options.strain,
-            dt=None if divided or dt > model.step(None, "heun") else dt, overwrite=options.overwrite,
-        )  # fmt: skip
+            dt=None if divided or dt > model.step(None, "heun") else dt,
+            overwrite=options.overwrite,
+        )
     else:
         raise InputError(f"export: {options.file} is a sheared run; its formats are csv, lammps, not {fmt}")
     return target
@@ -321,11 +337,11 @@ def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Name
 
     A run that fails stops no other, as long as there is one that does not.
     """
+    from petscjam.base.files import check_output
+    from petscjam.geometry.packing import Packing
     from petscjam.md.quench import quench, snapshot
     from petscjam.md.result import read
-    from petscjam.packing.packing import Packing
     from petscjam.parallel.claims import claimed
-    from petscjam.storage import check_output
 
     check_output(options.output, overwrite=options.overwrite or options.resume, inputs=runs)
     if len(set(runs.values())) < len(runs):
@@ -372,21 +388,19 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     """Find G* of packing after packing, dealt to teams of ranks; each result is written as it comes."""
     import numpy as np
 
-    from petscjam.ensemble import sweep
+    from petscjam.base.progress import progress
+    from petscjam.io.jobs import sweep
     from petscjam.io.results import read_moduli
     from petscjam.parallel.claims import claimed
     from petscjam.parallel.petsc import start
-    from petscjam.progress import progress
-    from petscjam.report import table
+    from petscjam.plots.tables import table
     from petscjam.response.reduced import checked_rtol
 
     start(comm)
     laws, omega = chosen_laws(options), options.omega
     reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0]
     if options.direct and any(reduced):
-        raise InputError(
-            "moduli: --rtol, --out-of-core and --block-low-rank go with the reduced model, not --direct"
-        )
+        raise InputError("moduli: --rtol, --out-of-core and --block-low-rank go with the reduced model, not --direct")
     rtol = 1e-6 if options.rtol is None else options.rtol
     checked_rtol(rtol, 1e-12)
     for w in options.fields:
@@ -396,13 +410,24 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
     with progress("moduli", show=comm.rank == 0) as report, claimed(options.output, comm):
         made, failures = sweep(
-            on_root(comm, all_packings, options), omega, options.output, laws=laws,
-            prestress=options.prestress, strain=options.strain, rtol=rtol, direct=options.direct,
-            fields_at=omega[np.unique(np.array(nearest, dtype=int))], comm=comm, team_size=options.team_size,
-            resume=options.resume, overwrite=options.overwrite, out_of_core=options.out_of_core,
-            block_low_rank=options.block_low_rank, progress=report,
+            on_root(comm, all_packings, options),
+            omega,
+            options.output,
+            laws=laws,
+            prestress=options.prestress,
+            strain=options.strain,
+            rtol=rtol,
+            direct=options.direct,
+            fields_at=omega[np.unique(np.array(nearest, dtype=int))],
+            comm=comm,
+            team_size=options.team_size,
+            resume=options.resume,
+            overwrite=options.overwrite,
+            out_of_core=options.out_of_core,
+            block_low_rank=options.block_low_rank,
+            progress=report,
             log=lambda line: print(line, flush=True),
-        )  # fmt: skip
+        )
     if made or options.resume:
         say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -414,13 +439,13 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
     """Draw a result, a packing or a folder of packings."""
 
     def work() -> None:
+        from petscjam.base.files import check_output
         from petscjam.io.importers import import_packing
         from petscjam.io.results import is_result, read_results
         from petscjam.md.result import is_run, read, read_folder
-        from petscjam.packing.library import read_library
         from petscjam.plots import plot_library, plot_packing, plot_results
         from petscjam.plots.shear import plot_flow, plot_maps, plot_ramp, plot_run
-        from petscjam.storage import check_output
+        from petscjam.preparation.library import read_library
 
         given: Path = options.file
         folder = given.is_dir()

@@ -12,11 +12,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import check_output, naming
+from petscjam.base.progress import Report
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root
-from petscjam.progress import Report
-from petscjam.storage import check_output, naming
 
 if TYPE_CHECKING:
     from petscjam.figures.study import Finding

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.damping import ContactDamping
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import STORAGE, save
 from petscjam.plots.modulus import draw_fields
 from petscjam.plots.packing import draw_packing
+from petscjam.rows.damping import ContactDamping
 
 
 def draw(study: Study, picture: Path) -> None:

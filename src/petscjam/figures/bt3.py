@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.scaling import Curve, collapse, critical, local_slope
-from petscjam.damping import ContactDamping, DampingLaw
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.rows.damping import ContactDamping, DampingLaw
 
 AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
 
@@ -81,19 +81,14 @@ def exponents(study: Study, groups: Mapping[float, list[Any]], how: str, affine:
 def _collapsed(study: Study, groups: Mapping[float, list[Any]], most: float, how: str) -> None:
     """Note μ, λ and Δ = μ/λ of the collapse of G′ and G″ below the frequency ``most``."""
     curves = [
-        Curve(
-            some[0].omega[kept],
-            np.array([[g.values.real[kept], g.values.imag[kept]] for g in some]),
-            {"p": x},
-        )
+        Curve(some[0].omega[kept], np.array([[g.values.real[kept], g.values.imag[kept]] for g in some]), {"p": x})
         for x, some in groups.items()
         if len(some) > 1
         for kept in [some[0].omega <= most]
     ]
     found = study.collapsed(
-        f"collapse, {how}", lambda: collapse(curves, critical, {"mu": 0.5, "lam": 1.0}),
-        {"mu": "1/2", "lam": "1"},
-    )  # fmt: skip
+        f"collapse, {how}", lambda: collapse(curves, critical, {"mu": 0.5, "lam": 1.0}), {"mu": "1/2", "lam": "1"}
+    )
     if found:
         delta = found.resampled[:, 0] / found.resampled[:, 1]
         value = found.exponents["mu"] / found.exponents["lam"]

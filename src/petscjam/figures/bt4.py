@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.viscosity import viscosity
-from petscjam.damping import ContactDamping
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import errors, given, save
 from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.rows.damping import ContactDamping
 
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
@@ -29,10 +29,18 @@ def draw(study: Study, picture: Path) -> None:
     eta0 = study.survey(files, viscosity, {}, tag="viscosity", laws=[UNDAMPED, ContactDamping()], **both)
     one = study.packings(study["particles"], [study["beta_pressure"]])
     weak = study.moduli(one, omega, betas, tag="betas")
-    on_root(study.comm, _draw, study, {
-        "undamped": study.tally(undamped, "β = 0"), "centres": study.tally(centres, "β = 1 at the centres"),
-        "weak": study.tally(weak, "varying β"), "eta0": study.tally(eta0, "η0"),
-    }, picture)  # fmt: skip
+    on_root(
+        study.comm,
+        _draw,
+        study,
+        {
+            "undamped": study.tally(undamped, "β = 0"),
+            "centres": study.tally(centres, "β = 1 at the centres"),
+            "weak": study.tally(weak, "varying β"),
+            "eta0": study.tally(eta0, "η0"),
+        },
+        picture,
+    )
 
 
 def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
@@ -63,9 +71,10 @@ def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> Non
                     axes.loglog(some[0].omega, mean.real, "-", color=colour(x), lw=1.5)
                     axes.loglog(some[0].omega, mean.imag, "--", color=colour(x), lw=1.5)
         for name, values, paper in (
-            ("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^x", lambda g: g.eta0, "1/2"),
+            ("G0 ~ p^μ", lambda g: g.G0, "1/2"),
+            ("η0 ~ p^x", lambda g: g.eta0, "1/2"),
             ("G∞ ~ p^x", lambda g: g.G_inf, "1/2"),
-        ):  # fmt: skip
+        ):
             samples = [[values(g) for g in some] for some in groups.values()]
             study.exponent(f"β = 0, {name}, {how}", p, samples, paper)
     panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  (units of $k$)")
@@ -118,9 +127,7 @@ def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
         draw_mean(axes, some, colour(x), f"p = {x:.2g}", x=1 / x, y=x**-0.5, most=0.05)
     guide(axes, (30, 1e3), 0.5, 0.5, "slope ½")
     p = np.array(list(groups))
-    for name, values, paper in (
-        ("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^(μ−λ)", lambda g: g.eta0, "−1/2"),
-    ):  # fmt: skip
+    for name, values, paper in (("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^(μ−λ)", lambda g: g.eta0, "−1/2")):
         samples = [[values(g) for g in some] for some in groups.values()]
         study.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
     axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")

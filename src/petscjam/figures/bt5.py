@@ -43,13 +43,12 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
                 mean, error = errors(samples)
                 what = f"{name} of {motion} motion, {given(prestress)}"
                 fit = study.exponent(what, p, samples, PAPER[motion])
-                study.exponent(
-                    f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW)
-                )
+                study.exponent(f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW))
                 slope = f": {fit.exponent:+.3f} ± {fit.error:.3f}" if fit else ""
                 label = f"{LABELS[motion]}, {given(prestress)}{slope}"
-                panels[name].errorbar(p, mean, error, fmt=marker, color=colour, ms=5, label=label,
-                                      mfc=colour if prestress else "white")  # fmt: skip
+                panels[name].errorbar(
+                    p, mean, error, fmt=marker, color=colour, ms=5, label=label, mfc=colour if prestress else "white"
+                )
                 if fit and not prestress:
                     panels[name].plot(p, fit.prefactor * p**fit.exponent, "--", color=colour, lw=1)
         _draw_energy(panels["energy"], p, groups, prestress)
@@ -68,10 +67,15 @@ def _draw_energy(axes: Any, p: Any, groups: Mapping[float, list[Any]], prestress
     for name, sign, marker in (("stretching", 1, "o"), ("pre_stress", -1, "v"), ("shear_modulus", 1, "s")):
         mean, error = errors([[sign * getattr(r, name) for r in some] for some in groups.values()])
         if (mean > 0).all():
-            text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[
-                name
-            ]
-            axes.errorbar(p, mean, error, fmt=marker, ms=5, mfc=None if prestress else "white",
-                          label=f"{text}, {given(prestress)}")  # fmt: skip
+            text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[name]
+            axes.errorbar(
+                p,
+                mean,
+                error,
+                fmt=marker,
+                ms=5,
+                mfc=None if prestress else "white",
+                label=f"{text}, {given(prestress)}",
+            )
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel="energy per area and $\\gamma^2/2$")
     axes.legend(frameon=False, fontsize=7)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from petscjam.damping import StokesDrag
 from petscjam.figures.bt3 import draw_collapse
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
+from petscjam.rows.damping import StokesDrag
 
 FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 

@@ -12,18 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from petscjam.analysis.correlations import (
-    CorrelationLength,
-    correlation_length,
-    correlations,
-)
+from petscjam.analysis.correlations import CorrelationLength, correlation_length, correlations
 from petscjam.analysis.scaling import log_corrected
-from petscjam.box import Array
-from petscjam.damping import ContactDamping, StokesDrag
+from petscjam.base.types import Array
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.rows.damping import ContactDamping, StokesDrag
 
 
 class Lengths(NamedTuple):
@@ -48,9 +44,7 @@ def draw(study: Study, picture: Path) -> None:
         made = study.survey(files, correlations, settings, tag=f"lane{width:g}", laws=[ContactDamping()])
         lanes[width] = study.tally(made, f"lanes {width:g} d high")
     files = study.packings(study["particles"], study.points("pressure"))
-    stokes = study.survey(
-        files, correlations, {"omegas": study.points("omega")}, tag="stokes", laws=[StokesDrag()]
-    )
+    stokes = study.survey(files, correlations, {"omegas": study.points("omega")}, tag="stokes", laws=[StokesDrag()])
     on_root(study.comm, _draw, study, contact, lanes, study.tally(stokes, "Stokes drag"), picture)
 
 
@@ -83,9 +77,7 @@ def _draw_contact(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
         mean = correlation_length(some)
         for w, omega in enumerate(mean.omega):
             label = rf"N = {n}, $\omega\tau_1$ = {omega:.0e} ({len(some)})"
-            axes.plot(
-                mean.delta / mean.L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label
-            )
+            axes.plot(mean.delta / mean.L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label)
         _note_lengths(study, mean, f"contact damping, N = {n}")
         zero_stress = correlation_length(some, "imaginary")
         _note_lengths(study, zero_stress, f"contact damping, N = {n}, at zero stress")
@@ -130,8 +122,7 @@ def _draw_lengths(
     curves: list[Lengths] = []
     for p, mean in lengths.items():
         label = f"p = {p:.2g} ({len(groups[p])})"
-        panels[0].errorbar(mean.omega, mean.length, mean.error, fmt="o-", ms=4, lw=0.8, color=colour(p),
-                           label=label)  # fmt: skip
+        panels[0].errorbar(mean.omega, mean.length, mean.error, fmt="o-", ms=4, lw=0.8, color=colour(p), label=label)
         panels[0].axhline(mean.L / 4, color="0.6", lw=0.8, ls="--")
         grows = (mean.length < 0.7 * mean.length[0]) & (mean.omega < 0.02)
         x, y = log_corrected(p=p)

@@ -11,10 +11,10 @@ import numpy as np
 
 from petscjam.analysis.scaling import Curve, collapse, finite_size
 from petscjam.analysis.viscosity import viscosity
-from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.figures.study import Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import errors, given, save
+from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 
 LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
@@ -47,9 +47,16 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
             for k, (n, groups) in enumerate(curves.items()):
                 p = np.array(list(groups))
                 mean, error = errors(list(groups.values()))
-                axes.errorbar(p * n**2, mean / n**a, error / n**a, fmt=MARKERS[k], color=f"C{k}", ms=5,
-                              mfc=f"C{k}" if prestress else "white",
-                              label=f"N = {n}, {given(prestress)}")  # fmt: skip
+                axes.errorbar(
+                    p * n**2,
+                    mean / n**a,
+                    error / n**a,
+                    fmt=MARKERS[k],
+                    color=f"C{k}",
+                    ms=5,
+                    mfc=f"C{k}" if prestress else "white",
+                    label=f"N = {n}, {given(prestress)}",
+                )
         x = np.array([1e2, 1e5])
         axes.plot(x, 1.2 * x ** (-a / 2), "k--", lw=1, label=f"slope −a/2, a = {a:g}")
         axes.set(xscale="log", yscale="log", xlabel="$pN^2$", ylabel=rf"$\eta_0/N^a$, a = {a:g}")
@@ -58,9 +65,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     save(figure, picture)
 
 
-def _curves(
-    results: Mapping[str, Any], law: DampingLaw, prestress: bool
-) -> dict[int, dict[float, list[float]]]:
+def _curves(results: Mapping[str, Any], law: DampingLaw, prestress: bool) -> dict[int, dict[float, list[float]]]:
     """Return η0 of the packings by number of disks and pressure, two packings or more."""
     sizes = sorted({v.packing["particles"] for v in results.values()})
     curves = {}

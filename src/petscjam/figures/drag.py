@@ -13,12 +13,12 @@ import numpy as np
 
 from petscjam.analysis.contact_drag import self_consistent_drag
 from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
-from petscjam.damping import ContactDamping
 from petscjam.figures.panels import guide
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.rows.damping import ContactDamping
 
 AFFINE = 0.05  # ωτα above which the response is no longer critical
 
@@ -31,9 +31,7 @@ def draw(study: Study, picture: Path) -> None:
     contacts = {}
     for alpha in study.points("alphas").tolist():
         settings = {"omegas": study.points("omega"), "stress": study["stress"], "alpha": alpha}
-        contacts[alpha] = study.survey(
-            files, self_consistent_drag, settings, tag=f"alpha{alpha:.3f}", **without
-        )
+        contacts[alpha] = study.survey(files, self_consistent_drag, settings, tag=f"alpha{alpha:.3f}", **without)
     on_root(study.comm, _draw, study, linear, contacts, picture)
 
 
@@ -55,12 +53,20 @@ def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any]
             _note(study, alpha, form, found)
         _draw_ratio(row[1], uniform, groups, colour)
         low = float(study.points("omega").min())
-        guide(row[0], (3 * low, 300 * low), float(abs(uniform[max(uniform)][0].values.imag).min()), alpha,
-              f"slope {alpha:.2g}")  # fmt: skip
+        guide(
+            row[0],
+            (3 * low, 300 * low),
+            float(abs(uniform[max(uniform)][0].values.imag).min()),
+            alpha,
+            f"slope {alpha:.2g}",
+        )
         guide(row[0], (1e-3, 1e-1), 3e-3, alpha / 2, f"slope {alpha / 2:.2g}")
         row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-        row[0].set_title(rf"α = {alpha:.3g}, $\delta\sigma$ = {study['stress']:.0e}, without pre-stress; "
-                         "symbols: per contact, lines: one time", fontsize=10)  # fmt: skip
+        row[0].set_title(
+            rf"α = {alpha:.3g}, $\delta\sigma$ = {study['stress']:.0e}, without pre-stress; "
+            "symbols: per contact, lines: one time",
+            fontsize=10,
+        )
         row[0].legend(frameon=False, fontsize=8)
     save(figure, picture)
 
@@ -78,9 +84,7 @@ def _draw_ratio(axes: Any, uniform: Mapping[float, Any], contacts: Mapping[float
     """Draw the moduli of one time for all over those with a time for each contact."""
     for p, some in contacts.items():
         ours, theirs = (np.mean([g.values for g in found], axis=0) for found in (some, uniform[p]))
-        axes.semilogx(
-            some[0].omega, theirs.real / ours.real, "o-", ms=3, color=colour(p), label=f"p = {p:.2g}"
-        )
+        axes.semilogx(some[0].omega, theirs.real / ours.real, "o-", ms=3, color=colour(p), label=f"p = {p:.2g}")
         axes.semilogx(some[0].omega, theirs.imag / ours.imag, "o--", ms=3, mfc="white", color=colour(p))
     axes.axhline(1, color="0.6", lw=0.8)
     axes.set(xlabel=r"$\omega\tau_1$", ylabel="one time / per contact: $G'$ (●), $G''$ (○)", yscale="log")

@@ -14,7 +14,7 @@ import numpy as np
 from petscjam.analysis.density import density_of_states, plateau
 from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
-from petscjam.box import Array, Integers
+from petscjam.base.types import Array, Integers
 from petscjam.figures.study import Finding, Study, by_pressure
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import errors, save
@@ -57,9 +57,7 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
     panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
     particles = {r.packing["particles"] for r in modes.values()}
-    figure.suptitle(
-        f"N = {', '.join(map(str, particles))}, without pre-stress; (number of packings)", fontsize=11
-    )
+    figure.suptitle(f"N = {', '.join(map(str, particles))}, without pre-stress; (number of packings)", fontsize=11)
     save(figure, picture)
 
 
@@ -93,18 +91,14 @@ def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[Rebuilt]])
         mean, error = errors(samples)
         axes.errorbar(p[known], mean, error, fmt=marker, color=colour, label=LABELS[motion])
         study.exponent(f"modes needed for the median of {motion} motion ~ p^x", p[known], samples, "—")
-    axes.set(
-        xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"modes for a median within {WITHIN:.0%}"
-    )
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"modes for a median within {WITHIN:.0%}")
     axes.legend(frameon=False, fontsize=8)
 
 
 def _draw_density(study: Study, axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
     """Draw the mean density of states over packings; note its plateau, and the onset ω* of this."""
     found = {p: [plateau(r) for r in some] for p, some in groups.items()}
-    known = {
-        p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()
-    }
+    known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}
     study.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")
     for p, plateaus in found.items():
         (height,), (error,) = errors([[x.height for x in plateaus]])

@@ -11,14 +11,7 @@ import numpy as np
 
 
 def draw_mean(
-    axes: Any,
-    some: list[Any],
-    colour: Any,
-    label: str,
-    *,
-    x: float = 1.0,
-    y: float = 1.0,
-    most: float = np.inf,
+    axes: Any, some: list[Any], colour: Any, label: str, *, x: float = 1.0, y: float = 1.0, most: float = np.inf
 ) -> None:
     """Draw the means of G′ (filled) and G″ (open) over packings, and their standard errors, rescaled."""
     omega = some[0].omega
@@ -27,8 +20,16 @@ def draw_mean(
     error = np.sqrt(max(len(some) - 1, 1) * len(some))
     for part, filled in ((values.real, True), (values.imag, False)):
         mean, deviation = part.mean(0), np.sqrt(((part - part.mean(0)) ** 2).sum(0)) / error
-        axes.loglog(omega[kept] * x, mean, "o-", ms=3, lw=0.8, color=colour,
-                    mfc=colour if filled else "white", label=label if filled else "")  # fmt: skip
+        axes.loglog(
+            omega[kept] * x,
+            mean,
+            "o-",
+            ms=3,
+            lw=0.8,
+            color=colour,
+            mfc=colour if filled else "white",
+            label=label if filled else "",
+        )
         low = np.maximum(mean - deviation, 1e-3 * mean)
         axes.fill_between(omega[kept] * x, low, mean + deviation, color=colour, alpha=0.2, lw=0)
 

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.scaling import PowerFit, power_law
-from petscjam.box import Array
-from petscjam.damping import DampingLaw
-from petscjam.ensemble import survey, sweep
-from petscjam.errors import InputError, SolverError, shown
+from petscjam.base.arguments import points, seeds
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.files import write_atomically
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.io.jobs import survey, sweep
 from petscjam.io.results import read_results
-from petscjam.packing.library import prepare_library, read_library
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given
-from petscjam.progress import Report
-from petscjam.storage import write_atomically
-from petscjam.values import points, seeds
+from petscjam.preparation.library import prepare_library, read_library
+from petscjam.rows.damping import DampingLaw
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,7 @@ class Study:
             library = prepare_library(
                 folder, [particles], wanted, own, comm=self.comm, resume=True, progress=self.progress
             )
-        rows = [
-            r
-            for r in library.rows
-            if r["particles"] == particles and r["target"] in wanted and r["seed"] in own
-        ]
+        rows = [r for r in library.rows if r["particles"] == particles and r["target"] in wanted and r["seed"] in own]
         proved = {library.folder / r["file"]: r["checksum"] for r in rows if r["proved"]}
         if not proved:
             raise InputError(f"{self.name}: no proved packing of {particles} disks in {folder}")
@@ -145,13 +141,7 @@ class Study:
         return list(proved)
 
     def moduli(
-        self,
-        files: Sequence[Path],
-        omegas: Array,
-        laws: Sequence[DampingLaw],
-        *,
-        tag: str = "",
-        **options: Any,
+        self, files: Sequence[Path], omegas: Array, laws: Sequence[DampingLaw], *, tag: str = "", **options: Any
     ) -> dict[str, Any]:
         """Return G* of every packing under each law, made if need be (``sweep``); on rank 0 alone."""
         return self._made(
@@ -172,14 +162,16 @@ class Study:
             files, tag, lambda output, **common: survey(files, output, analyse, settings, **common, **options)
         )
 
-    def _made(
-        self, files: Sequence[Path], tag: str, make: Callable[..., tuple[int, list[str]]]
-    ) -> dict[str, Any]:
+    def _made(self, files: Sequence[Path], tag: str, make: Callable[..., tuple[int, list[str]]]) -> dict[str, Any]:
         output = self.folder / f"{self.name}{tag and '-'}{tag}.h5"
         _, failures = make(
-            output, comm=self.comm, resume=not self.overwrite, overwrite=self.overwrite,
-            progress=self.progress, log=self.log,
-        )  # fmt: skip
+            output,
+            comm=self.comm,
+            resume=not self.overwrite,
+            overwrite=self.overwrite,
+            progress=self.progress,
+            log=self.log,
+        )
         if failures and not on_root(self.comm, output.exists):
             raise SolverError("; ".join(failures))
         if failures:
@@ -205,21 +197,13 @@ class Study:
             for kind in [packings] + [lost] * (not r.stable):
                 kind.setdefault(key, set()).add(r.packing["checksum"])
         gone = "; ".join(f"{key}: {len(lost[key])} of {len(packings[key])}" for key in sorted(lost))
-        self.tallies.append(
-            f"{what}: packings left out as unstable (G0 ≤ 0 or negative modes): {gone or 'none'}."
-        )
+        self.tallies.append(f"{what}: packings left out as unstable (G0 ≤ 0 or negative modes): {gone or 'none'}.")
         if self.comm.bcast(bool(results) and not kept):
             raise SolverError(f"{self.name}: {what}: none of {len(results)} results is stable")
         return kept
 
     def exponent(
-        self,
-        name: str,
-        x: Any,
-        samples: Any,
-        paper: str,
-        window: tuple[float, float] | None = None,
-        **options: Any,
+        self, name: str, x: Any, samples: Any, paper: str, window: tuple[float, float] | None = None, **options: Any
     ) -> PowerFit | None:
         """Fit a power law and note its exponent; None, with a remark, where it cannot be fitted.
 
@@ -233,9 +217,7 @@ class Study:
             return None
         low, high = fit.window
         quality = "" if np.isnan(fit.chi2) else f", χ² = {fit.chi2:.1f}"
-        self.findings.append(
-            Finding(name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}{quality}")
-        )
+        self.findings.append(Finding(name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}{quality}"))
         return fit
 
     def collapsed(self, name: str, find: Callable[[], Any], paper: Mapping[str, str]) -> Any:
@@ -259,9 +241,7 @@ class Study:
                 value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
                 value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
                 lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
-            how = (
-                "of exponents and collapses by bootstrap, of lengths by jackknife, of local slopes and means"
-            )
+            how = "of exponents and collapses by bootstrap, of lengths by jackknife, of local slopes and means"
             lines += ["", f"± is the standard error over packings: {how} from their scatter.", ""]
         lines += [f"- {tally}" for tally in self.tallies]
         lines += ["", "| parameter | |", "|---|---|"]

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array, Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import HDF5_SIGNATURE, naming, open_h5, understanding
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Wanted, check_plane
-from petscjam.packing.packing import Packing
-from petscjam.storage import HDF5_SIGNATURE, naming, open_h5, understanding
 
 NETCDF_SIGNATURE = b"CDF"  # of the classic format; that of version 4 is HDF5
 JSRC_POTENTIALS = {"HarmonicPotential": "harmonic-relative", "HertzianPotential": "hertzian-relative"}
@@ -78,9 +79,7 @@ def _string(file: Mapping[str, Any], name: str, index: int) -> str:
     return said.replace("\0", ":").partition(":")[0].strip()
 
 
-def _from_fractions(
-    file: Mapping[str, Any], index: int, cell: Array, law: str, origin: dict[str, Any]
-) -> Packing:
+def _from_fractions(file: Mapping[str, Any], index: int, cell: Array, law: str, origin: dict[str, Any]) -> Packing:
     positions = np.reshape(file["pos"][index], (-1, 2)) @ cell
     return Packing(positions, file["rad"][index], Box(cell), law, provenance=origin)
 

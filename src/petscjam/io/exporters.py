@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array, Box, Integers
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import check_output, naming, release, write_atomically
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.gsd_file import gsd_library
-from petscjam.packing.packing import Packing
-from petscjam.storage import check_output, naming, release, write_atomically
 
 
-def export_packing(
-    packing: Packing, path: str | PathLike[str], to: str | None = None, overwrite: bool = False
-) -> None:
+def export_packing(packing: Packing, path: str | PathLike[str], to: str | None = None, overwrite: bool = False) -> None:
     """Write ``packing`` to ``path``, in its own length unit.
 
     Parameters
@@ -109,11 +108,7 @@ def gsd(packing: Packing) -> bytes:
         path = Path(folder, "packing.gsd")
         # The schema is named because that of gsd's own open, 2.0 since version 5, is new to many readers.
         with library.fl.open(
-            str(path),
-            "w",
-            application=f"petscjam {release('petscjam')}",
-            schema="hoomd",
-            schema_version=[1, 4],
+            str(path), "w", application=f"petscjam {release('petscjam')}", schema="hoomd", schema_version=[1, 4]
         ) as file:
             library.hoomd.HOOMDTrajectory(file).append(frame)
         return path.read_bytes()
@@ -134,7 +129,7 @@ def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
 
 
 def h5md(packing: Packing) -> bytes:
-    """Our own file, which MDAnalysis reads (:mod:`petscjam.packing.h5md` says how)."""
+    """Our own file, which MDAnalysis reads (:mod:`petscjam.geometry.packing_file` says how)."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "packing.h5")
         packing.write(path)
@@ -151,7 +146,14 @@ def _species(radii: Array) -> tuple[list[str], Integers]:
 
 SYMBOLS = ["H", "He", "Li", "Be", "B", "C", "N", "O", "F", "Ne"]
 ENDINGS = {
-    ".xyz": "xyz", ".extxyz": "xyz", ".gsd": "gsd", ".h5md": "h5md", ".h5": "h5md", ".hdf5": "h5md",
-    ".csv": "csv", ".tts": "tts", ".gt": "gt",
-}  # fmt: skip
+    ".xyz": "xyz",
+    ".extxyz": "xyz",
+    ".gsd": "gsd",
+    ".h5md": "h5md",
+    ".h5": "h5md",
+    ".hdf5": "h5md",
+    ".csv": "csv",
+    ".tts": "tts",
+    ".gt": "gt",
+}
 FORMATS = {"xyz": extended_xyz, "gsd": gsd, "h5md": h5md}

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Wanted, check_plane
-from petscjam.packing.packing import Packing
 
 SINGLE = 1e-6  # diameters of single and of double precision differ by less, relatively
 
@@ -50,9 +50,7 @@ def read_gsd(path: Path, wanted: Wanted) -> Packing:
     origin: dict[str, Any] = {"source": path.name, "format": "GSD", "index": index, "precision": str(x.dtype)}
     origin["header"] = {"step": int(frame.configuration.step)}
     cell = np.array([[width, 0], [tilt * height, height]])
-    return Packing(
-        np.stack([x, y], axis=1), radii, Box(cell), wanted.potential or "harmonic", provenance=origin
-    )
+    return Packing(np.stack([x, y], axis=1), radii, Box(cell), wanted.potential or "harmonic", provenance=origin)
 
 
 def _diameter(name: str, shape: Any) -> float:

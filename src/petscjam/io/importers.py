@@ -23,19 +23,19 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import HDF5_SIGNATURE, naming, open_h5
+from petscjam.base.types import Array
+from petscjam.geometry import packing_file
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.arrays import NETCDF_SIGNATURE, open_arrays, read_h5md, read_jaxmd, read_jsrc
 from petscjam.io.gsd_file import read_gsd
 from petscjam.io.jambashbulk import read_jambashbulk
 from petscjam.io.lammps import read_lammps_data, read_lammps_dump
 from petscjam.io.reading import Wanted, digits_of
 from petscjam.io.xyz import read_xyz
-from petscjam.network import ContactNetwork
-from petscjam.packing import h5md
-from petscjam.packing.packing import Packing
-from petscjam.potential import POTENTIALS
-from petscjam.storage import HDF5_SIGNATURE, naming, open_h5
 
 GSD_SIGNATURE = b"\xdf\x65" * 4
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -135,7 +135,7 @@ def _unpacked(path: Path) -> Iterator[Path]:
 def read_own(path: Path, wanted: Wanted) -> Packing:
     """Read our own H5MD."""
     wanted.one_of(1)
-    return h5md.read(path)
+    return Packing.read(path)
 
 
 def read_sheared(path: Path, wanted: Wanted) -> Packing:
@@ -204,7 +204,7 @@ def _is_ours(path: Path, head: bytes) -> bool:
         return False
     with open_h5(path) as file:
         creator = file["h5md/creator"].attrs.get("name") if "h5md/creator" in file else None
-        return h5md.OURS in file or creator in ("petscjam", b"petscjam")
+        return packing_file.OURS in file or creator in ("petscjam", b"petscjam")
 
 
 def _arrays(*names: str) -> Callable[[Path, bytes], bool]:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Text, Wanted, numbers
-from petscjam.packing.packing import Packing
 
 SAID = {"commit": r"commit (\w+)", "seed": r"srand\((\d+)\)", "P": r"P = (\S+)", "P0": r"P0= (\S+)"}
 

@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array, Box
-from petscjam.errors import InputError
+from petscjam.base.arguments import parsed_whole
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Text, Wanted, by_id, check_once, check_plane, numbers
-from petscjam.packing.packing import Packing
-from petscjam.values import parsed_whole
 
 STYLES = {  # of atoms in a data file; three image flags may follow
     "sphere": "id type diameter density x y z",
@@ -153,9 +154,7 @@ def read_lammps_dump(path: Path, wanted: Wanted) -> Packing:
     return Packing(x[:, :2], radii, Box(cell[:2, :2]), wanted.potential or "harmonic", provenance=origin)
 
 
-def _radii(
-    wanted: Wanted, text: Text, rows: Iterable[int], names: list[str], sizes: dict[str, Array]
-) -> Array:
+def _radii(wanted: Wanted, text: Text, rows: Iterable[int], names: list[str], sizes: dict[str, Array]) -> Array:
     return wanted.radii(sizes, [text.words(n)[names.index("type")] for n in rows] if "type" in names else [])
 
 

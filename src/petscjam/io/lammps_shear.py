@@ -17,16 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from petscjam import ranges
-from petscjam.box import Array
-from petscjam.errors import InputError, shown
+from petscjam.base import ranges
+from petscjam.base.arguments import parsed, parsed_whole
+from petscjam.base.errors import InputError, shown
+from petscjam.base.files import check_output, naming, write_atomically
+from petscjam.base.types import Array
+from petscjam.geometry.potential import Potential
 from petscjam.md.model import Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
 from petscjam.parallel.claims import made_folder
-from petscjam.potential import Potential
-from petscjam.storage import check_output, naming, write_atomically
-from petscjam.values import parsed, parsed_whole
 
 SIZES = 10  # radii at most: each is an atom type, each pair of types has its spring constant
 FRAMES = 100  # of a run, unless told otherwise
@@ -155,9 +155,7 @@ def write_lammps(
     largest = stable_step("single", relaxation / 2, oscillation)
     dt = min(model.step(None, "heun"), largest) if dt is None else model.step(dt, "heun")
     if dt > largest:
-        raise InputError(
-            f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}"
-        )
+        raise InputError(f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}")
     steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
     if steps > ranges.MOST_STEPS:
         raise InputError(f"lammps: {steps:.3g} time steps; at most {ranges.MOST_STEPS:.0g}")
@@ -167,8 +165,15 @@ def write_lammps(
         raise InputError(f"lammps: every must be a whole number above 0, not {shown(every)}")
     velocities = state.velocities + np.outer((rate - state.rate) * state.positions[:, 1], [1, 0])
     start = replace(state, velocities=velocities, rate=rate).wrapped()
-    settings = {"rate": start.rate, "dt": dt, "strain": start.strain, "time": start.time, "steps": steps,
-                "every": int(every), "skin": 0.1}  # fmt: skip
+    settings = {
+        "rate": start.rate,
+        "dt": dt,
+        "strain": start.strain,
+        "time": start.time,
+        "steps": steps,
+        "every": int(every),
+        "skin": 0.1,
+    }
     potential = model.potential
     texts = {
         "disks.data": _data(start, model.rolls),
@@ -232,19 +237,15 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
         for good, what in (
             (columns == f"ITEM: ATOMS {COLUMNS}", f"the columns are {columns!r}, not {COLUMNS}"),
             (disks.shape == (count, 8), f"frame {frame} has {disks.shape} numbers, not {(count, 8)}"),
-            (
-                np.isclose(width, length, rtol=1e-9),
-                f"the cell is {width:g} x {length:g}, not a sheared square",
-            ),
+            (np.isclose(width, length, rtol=1e-9), f"the cell is {width:g} x {length:g}, not a sheared square"),
         ):
             if not good:
                 raise InputError(what)
         elapsed, tilt = step * dt, xy / length
         strain = tilt + round(strain + rate * elapsed - tilt)  # LAMMPS keeps the tilt between −1/2 and 1/2
         return State(
-            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed,
-            potential,
-        )  # fmt: skip
+            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed, potential
+        )
 
 
 def read_log(path: str | PathLike[str]) -> dict[str, Array]:
@@ -289,13 +290,15 @@ def _data(state: State, rolls: bool) -> str:
     L, tilt = state.length, float(state.box.cell[1, 0])
     atoms = np.column_stack([types + 1, 2 * state.radii, state.positions])
     moving = np.column_stack([state.velocities, state.spins * rolls])
-    return "\n".join([
-        f"disks at a strain of {state.strain}\n",
-        f"{len(state)} atoms\n{len(sizes)} atom types\n",
-        f"0.0 {L} xlo xhi\n0.0 {L} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt} 0.0 0.0 xy xz yz\n",
-        "Atoms # sphere\n",
-        *(f"{i} {t:.0f} {d} 1.0 {x} {y} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
-        "\nVelocities\n",
-        *(f"{i} {vx} {vy} 0.0 0.0 0.0 {spin}" for i, (vx, vy, spin) in enumerate(moving.tolist(), 1)),
-        "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"disks at a strain of {state.strain}\n",
+            f"{len(state)} atoms\n{len(sizes)} atom types\n",
+            f"0.0 {L} xlo xhi\n0.0 {L} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt} 0.0 0.0 xy xz yz\n",
+            "Atoms # sphere\n",
+            *(f"{i} {t:.0f} {d} 1.0 {x} {y} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
+            "\nVelocities\n",
+            *(f"{i} {vx} {vy} 0.0 0.0 0.0 {spin}" for i, (vx, vy, spin) in enumerate(moving.tolist(), 1)),
+            "",
+        ]
+    )

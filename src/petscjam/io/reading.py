@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from petscjam.box import Array, Integers
-from petscjam.errors import InputError
-from petscjam.values import parsed
+from petscjam.base.arguments import parsed
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array, Integers
 
 FLAT = 1e-6  # z may vary by as much, in units of the smallest radius
 ALIKE = 1e-5  # radii and half the diameters may differ by as much, relatively: text of six digits

@@ -16,16 +16,17 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import QuasistaticResponse
 from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.box import Array, Box
-from petscjam.damping import LAWS, DampingLaw
-from petscjam.errors import InputError, shown
-from petscjam.kinematics import strain_mode
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError, shown
+from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, h5_format, open_h5
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
-from petscjam.storage import atomic_h5, check_output, check_shapes, check_type, h5_format, open_h5
+from petscjam.rows.damping import LAWS, DampingLaw
+from petscjam.rows.kinematics import strain_mode
 
 FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
 KINDS: dict[str, type] = {
@@ -40,69 +41,178 @@ KINDS: dict[str, type] = {
     "petscjam drag": NonlinearModulus,
 }
 UNITS = {
-    "omega": "1/tau1", "values": "stress", "residuals": "1", "power_balance": "1", "G0": "stress",
-    "eta0": "stress*tau1", "G_inf": "stress", "eta_inf": "stress*tau1", "field_omega": "1/tau1",
-    "fields": "length per unit strain", "nodes": "1/tau1", "span": "1/tau1",
-    "motions": "length per unit strain", "parallel": "length per unit strain",
-    "transverse": "length per unit strain", "nonaffine": "length per unit strain",
-    "shear_modulus": "stress", "eigenvalues": "stress", "softening": "stress", "G_affine": "stress",
-    "weights": "stress", "times": "tau1", "delta": "length", "L": "length", "width": "length",
-    "bin": "length", "stress": "stress", "tau": "tau1", "contact_tau": "tau1", "stretching": "stress",
+    "omega": "1/tau1",
+    "values": "stress",
+    "residuals": "1",
+    "power_balance": "1",
+    "G0": "stress",
+    "eta0": "stress*tau1",
+    "G_inf": "stress",
+    "eta_inf": "stress*tau1",
+    "field_omega": "1/tau1",
+    "fields": "length per unit strain",
+    "nodes": "1/tau1",
+    "span": "1/tau1",
+    "motions": "length per unit strain",
+    "parallel": "length per unit strain",
+    "transverse": "length per unit strain",
+    "nonaffine": "length per unit strain",
+    "shear_modulus": "stress",
+    "eigenvalues": "stress",
+    "softening": "stress",
+    "G_affine": "stress",
+    "weights": "stress",
+    "times": "tau1",
+    "delta": "length",
+    "L": "length",
+    "width": "length",
+    "bin": "length",
+    "stress": "stress",
+    "tau": "tau1",
+    "contact_tau": "tau1",
+    "stretching": "stress",
     "pre_stress": "stress",
-}  # fmt: skip
+}
 OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
     Modes: {"residuals": "stress", "frequencies": "(stress/mass)^1/2"},
-    Rebuilt: {"frequencies": "(stress/mass)^1/2", "medians": "length per unit strain",
-              "direct": "length per unit strain"},
+    Rebuilt: {
+        "frequencies": "(stress/mass)^1/2",
+        "medians": "length per unit strain",
+        "direct": "length per unit strain",
+    },
     DensityOfStates: {"omega": "(stress/mass)^1/2", "edge": "(stress/mass)^1/2"},
-}  # fmt: skip
+}
 SETTINGS = ("strain", "damping", "prestress")
 ADDED = {"rounding_only": False}  # what older files lack, and what they mean by it
 # As check_shapes reads them: F frequencies of fields, C contacts, which there may be none of, …
 SHAPES: dict[type, dict[str, str]] = {
     ComplexModulus: {
-        "omega": "W", "values": "W", "residuals": "W", "power_balance": "W", "errors": "W",
-        "part_errors": "2 W", "limit_residuals": "2", "field_omega": "F", "fields": "F N 2",
+        "omega": "W",
+        "values": "W",
+        "residuals": "W",
+        "power_balance": "W",
+        "errors": "W",
+        "part_errors": "2 W",
+        "limit_residuals": "2",
+        "field_omega": "F",
+        "fields": "F N 2",
     },
     Spectrum: {
-        "span": "2", "K": "M M", "B": "M M", "residual_K": "R", "residual_B": "R", "nodes": "F", "gains": "F",
-        "gain_errors": "F", "limits": "2 2", "limit_errors": "2 2", "forcing": "2", "affine": "2",
+        "span": "2",
+        "K": "M M",
+        "B": "M M",
+        "residual_K": "R",
+        "residual_B": "R",
+        "nodes": "F",
+        "gains": "F",
+        "gain_errors": "F",
+        "limits": "2 2",
+        "limit_errors": "2 2",
+        "forcing": "2",
+        "affine": "2",
         "motions": "M N 2",
     },
-    QuasistaticResponse: {
-        "parallel": "C", "transverse": "C", "nonaffine": "n 2", "disks": "n", "contacts": "C 2",
-    },
+    QuasistaticResponse: {"parallel": "C", "transverse": "C", "nonaffine": "n 2", "disks": "n", "contacts": "C 2"},
     Viscosity: {},
     Modes: {
-        "eigenvalues": "M", "vectors": "M n 2", "residuals": "M", "disks": "n", "participation": "M",
-        "floppiness": "M", "amplitudes": "M", "softening": "M",
+        "eigenvalues": "M",
+        "vectors": "M n 2",
+        "residuals": "M",
+        "disks": "n",
+        "participation": "M",
+        "floppiness": "M",
+        "amplitudes": "M",
+        "softening": "M",
     },
     RelaxationModes: {"times": "M", "weights": "M", "vectors": "M n 2", "residuals": "M", "disks": "n"},
     Rebuilt: {
-        "counts": "K", "medians": "3 K", "direct": "3", "frequencies": "M", "floppiness": "M",
-        "participation": "M", "softening": "M",
+        "counts": "K",
+        "medians": "3 K",
+        "direct": "3",
+        "frequencies": "M",
+        "floppiness": "M",
+        "participation": "M",
+        "softening": "M",
     },
     DensityOfStates: {
-        "omega": "W", "density": "W", "error": "W", "cumulative": "W", "resolution": "W", "moments": "V M",
+        "omega": "W",
+        "density": "W",
+        "error": "W",
+        "cumulative": "W",
+        "resolution": "W",
+        "moments": "V M",
     },
     Correlations: {
-        "omega": "W", "delta": "D", "real": "W D", "imaginary": "W D", "pairs": "D", "G": "W", "errors": "W",
+        "omega": "W",
+        "delta": "D",
+        "real": "W D",
+        "imaginary": "W D",
+        "pairs": "D",
+        "G": "W",
+        "errors": "W",
     },
     NonlinearModulus: {
-        "omega": "W", "values": "W", "tau": "W", "spread": "W", "iterations": "W", "converged": "W",
-        "changes": "W", "tau_changes": "W", "residuals": "W", "errors": "W", "contact_tau": "W C",
+        "omega": "W",
+        "values": "W",
+        "tau": "W",
+        "spread": "W",
+        "iterations": "W",
+        "converged": "W",
+        "changes": "W",
+        "tau_changes": "W",
+        "residuals": "W",
+        "errors": "W",
+        "contact_tau": "W C",
     },
-}  # fmt: skip
+}
 FINITE = {  # the others may be NaN
-    "omega", "values", "field_omega", "span", "rtol", "K", "B", "residual_K", "residual_B", "nodes",
-    "forcing", "affine", "area", "pressure", "delta", "G", "L", "width", "bin", "density", "cumulative",
-    "resolution", "moments", "edge", "stress", "alpha", "parallel", "transverse", "nonaffine", "eigenvalues",
-    "vectors", "times", "weights", "medians", "direct", "frequencies", "participation",
-}  # fmt: skip
+    "omega",
+    "values",
+    "field_omega",
+    "span",
+    "rtol",
+    "K",
+    "B",
+    "residual_K",
+    "residual_B",
+    "nodes",
+    "forcing",
+    "affine",
+    "area",
+    "pressure",
+    "delta",
+    "G",
+    "L",
+    "width",
+    "bin",
+    "density",
+    "cumulative",
+    "resolution",
+    "moments",
+    "edge",
+    "stress",
+    "alpha",
+    "parallel",
+    "transverse",
+    "nonaffine",
+    "eigenvalues",
+    "vectors",
+    "times",
+    "weights",
+    "medians",
+    "direct",
+    "frequencies",
+    "participation",
+}
 PACKING = {
-    "name": "str", "checksum": "str", "particles": "int", "phi": "float", "pressure": "float", "Z": "float",
+    "name": "str",
+    "checksum": "str",
+    "particles": "int",
+    "phi": "float",
+    "pressure": "float",
+    "Z": "float",
     "rattlers": "int",
-}  # fmt: skip
+}
 DERIVED = ("stable", "state")  # written for other readers, never read back
 
 
@@ -112,13 +222,7 @@ def group_name(packing: Packing, name: str) -> str:
 
 
 def append_result(
-    result: Any,
-    file: str | PathLike[str],
-    group: str,
-    *,
-    fresh: bool = False,
-    run: str = "",
-    made_with: str = "",
+    result: Any, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = "", made_with: str = ""
 ) -> None:
     """Add ``result``, one of ``KINDS``, to ``file`` as ``group``; the file is whole at every moment.
 
@@ -170,7 +274,7 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
         if kind == FORMAT_MODEL and schema == SCHEMA:
             model = _read_model(h5)
             points = 1 + int(np.ceil(10 * np.log10(model.span[1] / model.span[0])))
-            return {model.packing["name"]: model.sample(np.geomspace(*model.span, points))}
+            return {model.packing["name"]: ComplexModulus.sampled(model, np.geomspace(*model.span, points))}
         if kind not in KINDS or schema != SCHEMA:
             raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
         return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}
@@ -201,9 +305,7 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
         for name, node in h5.items():
             law = _law(node["damping"]) if "damping" in node else node.attrs.get("damping")
             checksum = node["packing"].attrs["checksum"]
-            items.append(
-                Item(name, node.attrs["made_with"], checksum, str(law), bool(node.attrs["prestress"]))
-            )
+            items.append(Item(name, node.attrs["made_with"], checksum, str(law), bool(node.attrs["prestress"])))
         return items
 
 
@@ -239,11 +341,7 @@ def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
 
 
 def done(
-    file: str | PathLike[str],
-    laws: Iterable[Mapping[str, Any]],
-    omega: Array,
-    kept: Array,
-    rtol: float | None,
+    file: str | PathLike[str], laws: Iterable[Mapping[str, Any]], omega: Array, kept: Array, rtol: float | None
 ) -> set[tuple[str, str, bool]]:
     """Return checksum, damping and pre-stress of what ``file`` holds, if it was made with these settings.
 
@@ -354,9 +452,7 @@ def _values(node: Any, kind: type) -> dict[str, Any]:
     missing = {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}
     if missing - set(ADDED):
         raise InputError(f"{node.name} lacks {', '.join(sorted(missing - set(ADDED)))}")
-    values = {
-        item.name: _value(node, item) if item.name in there else ADDED.get(item.name) for item in fields(kind)
-    }
+    values = {item.name: _value(node, item) if item.name in there else ADDED.get(item.name) for item in fields(kind)}
     _check(node.name, kind, values)
     return values
 

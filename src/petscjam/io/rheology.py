@@ -13,13 +13,13 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import check_output, write_atomically
+from petscjam.base.types import Array
 from petscjam.io.exporters import format_of
 from petscjam.response.reduced import PLATEAU
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
-from petscjam.storage import check_output, write_atomically
 
 PER_DECADE = 10
 
@@ -69,11 +69,7 @@ def export_rheology(
 def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
     """Return ω, G′, G″ as RepTate's application LVE reads them."""
     modulus = _sampled(source, omegas)
-    lines = [
-        _parameters(modulus, Mw=0, T=0),
-        _setting(modulus),
-        f"# frequencies in 1/tau1, {_moduli(modulus)}",
-    ]
+    lines = [_parameters(modulus, Mw=0, T=0), _setting(modulus), f"# frequencies in 1/tau1, {_moduli(modulus)}"]
     columns = [modulus.omega, modulus.values.real, modulus.values.imag]
     return _text([*lines, "w\tG'\tG''"], columns, "\t")
 
@@ -84,9 +80,7 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
     first, last = 1 / model.span[1], 1 / model.span[0]
     t = _decades(first, last) if times is None else _times(times)
     plateau = model.own_limits()[1][:, 0] < PLATEAU  # then G(t) stays what it is at the end of the span
-    outside = (t < (0.0 if plateau[1] else first * (1 - 1e-9))) | (
-        t > (np.inf if plateau[0] else last * (1 + 1e-9))
-    )
+    outside = (t < (0.0 if plateau[1] else first * (1 - 1e-9))) | (t > (np.inf if plateau[0] else last * (1 + 1e-9)))
     if outside.any():
         raise InputError(f"times: {t[outside][0]:g} is outside what the model knows, {first:g} to {last:g}")
     lines = [_parameters(model, Mw=0, gamma=1), _setting(model), f"# times in tau1, {_moduli(model)}"]
@@ -120,13 +114,11 @@ def _sampled(source: Spectrum | ComplexModulus, omegas: ArrayLike | None) -> Com
     if isinstance(source, ComplexModulus) and omegas is None:
         return source
     model = _model(source, "G* at other frequencies")
-    modulus = model.sample(_decades(*model.span) if omegas is None else omegas)
+    modulus = ComplexModulus.sampled(model, _decades(*model.span) if omegas is None else omegas)
     unknown = ~np.isfinite(modulus.errors)
     if unknown.any():
         low, high = model.span
-        raise InputError(
-            f"omega: {modulus.omega[unknown][0]:g} is too far outside the model, {low:g} to {high:g}"
-        )
+        raise InputError(f"omega: {modulus.omega[unknown][0]:g} is too far outside the model, {low:g} to {high:g}")
     return modulus
 
 
@@ -168,6 +160,4 @@ def _text(lines: Sequence[str], columns: Sequence[Array], separator: str) -> byt
     return "\n".join([*lines, *rows, ""]).encode("ascii")
 
 
-FORMATS: dict[str, Callable[[Spectrum | ComplexModulus, ArrayLike | None], bytes]] = {
-    "tts": tts, "gt": gt, "csv": csv,
-}  # fmt: skip
+FORMATS: dict[str, Callable[[Spectrum | ComplexModulus, ArrayLike | None], bytes]] = {"tts": tts, "gt": gt, "csv": csv}

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Box
-from petscjam.errors import InputError
+from petscjam.base.arguments import parsed_whole
+from petscjam.base.errors import InputError
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Text, Wanted, check_once, check_plane, numbers
-from petscjam.packing.packing import Packing
-from petscjam.values import parsed_whole
 
 STRING = r'"(?:[^"\\]|\\.)*"'
 ENTRY = re.compile(  # key = value; the value in quotes, in brackets or bare

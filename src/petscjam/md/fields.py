@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.errors import InputError, shown
+from petscjam.base.errors import InputError, shown
+from petscjam.base.types import Array
 from petscjam.md.result import Run
 from petscjam.md.state import State
 
@@ -44,13 +44,11 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     InputError
         If ``radius`` is too small.
     """
-    from petscjam.neighbours import pairs
+    from petscjam.geometry.neighbours import pairs
 
     sizes, n = state.radii, len(state)
     if not radius > sizes.max():
-        raise InputError(
-            f"maps: the radius must be above that of a disk, {sizes.max():g}, not {shown(radius)}"
-        )
+        raise InputError(f"maps: the radius must be above that of a disk, {sizes.max():g}, not {shown(radius)}")
     first, second, r = pairs(state.box, state.positions, sizes, radius)  # more than overlap the circles
     i, j, r = np.append(first, second), np.append(second, first), np.concatenate([r, -r])
     distance = np.hypot(*r.T)
@@ -222,10 +220,12 @@ def bands(profile: Profile) -> Bands:
     simplex = np.array([starts[a], shares[b]]) + np.array([[0, 0], [1, 0], [0, 1]]) / grid
     scale = float(u @ u) or 1.0
     best = minimize(
-        lambda p: float(((u - fit(p[:1], p[1:])[0]) ** 2).sum()) / scale, simplex[0],
-        method="Nelder-Mead", bounds=[(None, None), (thinnest, 1 - thinnest)],
+        lambda p: float(((u - fit(p[:1], p[1:])[0]) ** 2).sum()) / scale,
+        simplex[0],
+        method="Nelder-Mead",
+        bounds=[(None, None), (thinnest, 1 - thinnest)],
         options={"xatol": 1e-7, "fatol": 1e-14, "initial_simplex": simplex},
-    )  # fmt: skip
+    )
     start, share = best.x
     fitted, rise = fit(best.x[:1], best.x[1:])
     difference = float(rise[0]) / L

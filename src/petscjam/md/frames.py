@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import naming, write_atomically
 from petscjam.md.fields import local_maps
 from petscjam.md.state import State
-from petscjam.storage import naming, write_atomically
 
 SYMBOLS = "H", "He", "Li", "Be"  # species by size; still larger ones are of the last
 # OVITO knows the first five by these names, as Particle Type, Position, Radius, Velocity and Angular
@@ -64,10 +64,20 @@ def frame(state: State) -> bytes:
     moved = state.wrapped()
     cell, nothing = state.box.cell, np.zeros(len(state))
     species = np.minimum(np.unique(state.radii, return_inverse=True)[1], len(SYMBOLS) - 1)
-    values = np.column_stack([
-        state.box.wrap(moved.positions), nothing, state.radii, moved.velocities, nothing, nothing, nothing,
-        state.spins, np.hypot(*state.peculiar.T), *local_maps(state),
-    ])  # fmt: skip
+    values = np.column_stack(
+        [
+            state.box.wrap(moved.positions),
+            nothing,
+            state.radii,
+            moved.velocities,
+            nothing,
+            nothing,
+            nothing,
+            state.spins,
+            np.hypot(*state.peculiar.T),
+            *local_maps(state),
+        ]
+    )
     (ax, ay), (bx, by) = cell.tolist()
     row = " ".join(["%.12g"] * 4 + ["%.7g"] * (values.shape[1] - 4))
     lines = [

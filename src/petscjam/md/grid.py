@@ -9,15 +9,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from petscjam.damping import DampingLaw
-from petscjam.errors import InputError, SolverError
-from petscjam.interrupt import Interrupted, check, deferred
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import Interrupted, check, deferred
+from petscjam.base.progress import Report, part
+from petscjam.base.ranges import MOST_RUNS
 from petscjam.md.result import Run
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.teams import teams
-from petscjam.progress import Report, part
-from petscjam.ranges import MOST_RUNS
+from petscjam.rows.damping import DampingLaw
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,19 @@ class Point:
 
 
 def grid(
-    models: Sequence[str | DampingLaw], n: Sequence[int], phi: Sequence[float], Q: Sequence[float],
-    rate: Sequence[float], seeds: Sequence[int],
-) -> list[Point]:  # fmt: skip
+    models: Sequence[str | DampingLaw],
+    n: Sequence[int],
+    phi: Sequence[float],
+    Q: Sequence[float],
+    rate: Sequence[float],
+    seeds: Sequence[int],
+) -> list[Point]:
     """Return every combination, each once.
 
     Raises
     ------
     InputError
-        If there are more than :data:`petscjam.ranges.MOST_RUNS`.
+        If there are more than :data:`petscjam.base.ranges.MOST_RUNS`.
     """
     count = math.prod(map(len, (models, n, phi, Q, rate, seeds)))
     if count > MOST_RUNS:
@@ -109,11 +113,7 @@ def run_grid(
                 try:
                     check()
                     run = work(
-                        **vars(point),
-                        output=targets[point],
-                        resume=resume,
-                        overwrite=overwrite,
-                        progress=report,
+                        **vars(point), output=targets[point], resume=resume, overwrite=overwrite, progress=report
                     )
                 except (InputError, SolverError) as error:
                     failures.append(f"{point.name}: {error}")

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.compiled import njit, prange
-from petscjam.neighbours import CHUNK
+from petscjam.base.compiled import njit, prange
+from petscjam.base.types import Array
+from petscjam.geometry.neighbours import CHUNK
 
 BATCH = 256
 BINS = 100
@@ -141,9 +141,7 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, ti
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(
-                    x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute
-                )
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c], V[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx), touch
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
@@ -155,24 +153,12 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, ti
             if changed:
                 for c in range(n):
                     if V[c] != touching[c]:
-                        _event(
-                            start + c,
-                            q,
-                            pairs,
-                            L,
-                            strain,
-                            rate,
-                            tick,
-                            events.counts[part],
-                            events.angles[part],
-                        )
+                        _event(start + c, q, pairs, L, strain, rate, tick, events.counts[part], events.angles[part])
         else:
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(
-                    x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute
-                )
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx)
         for c in range(n):
@@ -366,9 +352,8 @@ def book(sums, rate, weight, total):
 
 @njit(cache=True, error_model="numpy")
 def advance(
-    disks, pairs, law, L, dt, parts, scheme, strains, rates, bulk, built, skin, threads, tick, sums, events,
-    total,
-):  # fmt: skip
+    disks, pairs, law, L, dt, parts, scheme, strains, rates, bulk, built, skin, threads, tick, sums, events, total
+):
     """Make parts of steps as long as the list of pairs holds.
 
     Parameters

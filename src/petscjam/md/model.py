@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 from math import inf, sqrt
 from typing import Any
 
-from petscjam import ranges
-from petscjam.damping import LAWS, ContactDamping, DampingLaw
-from petscjam.errors import InputError, shown
-from petscjam.potential import POTENTIALS, Potential, potential
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, shown
+from petscjam.geometry.potential import POTENTIALS, Potential, potential
+from petscjam.rows.damping import LAWS, ContactDamping, DampingLaw
 
 MODELS: dict[str, DampingLaw] = {
     "CD": ContactDamping(beta=1.0, rotations=False),  # VOT eq. 3
@@ -58,9 +58,10 @@ class Model:
 
     def __post_init__(self) -> None:
         for name, value, known in (
-            ("Q", self.Q, ranges.Q), ("drag", self.drag, ranges.DRAG),
+            ("Q", self.Q, ranges.Q),
+            ("drag", self.drag, ranges.DRAG),
             ("spin_drag", self.spin_drag, ranges.DRAG),
-        ):  # fmt: skip
+        ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
 

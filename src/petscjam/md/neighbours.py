@@ -1,4 +1,4 @@
-"""Which disks may touch before the list is built anew: the pairs of :func:`petscjam.neighbours.find`.
+"""Which disks may touch before the list is built anew: the pairs of :func:`petscjam.geometry.neighbours.find`.
 
 Disks are sorted in space. Pairs inside a run of them come first and need no image; the others come last,
 with the image (nx, ny) of the second disk. So runs are independent: sums do not depend on their threads.
@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.compiled import njit
-from petscjam.neighbours import find
+from petscjam.base.compiled import njit
+from petscjam.base.types import Array
+from petscjam.geometry.neighbours import find
 
 
 class Pairs(NamedTuple):

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from petscjam import ranges
-from petscjam.box import Array
-from petscjam.errors import InputError, shown
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, shown
+from petscjam.base.types import Array
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,7 @@ def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
     """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0); ``bulk`` matters to starts at other rates."""
     _check_rate(rate)
     ranges.STRAIN.check("shear: the strain", strain)
-    return Protocol(
-        "steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), bulk, {"rate": rate}
-    )
+    return Protocol("steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), bulk, {"rate": rate})
 
 
 def ramp(rate: float, to: float, kappa: float) -> Protocol:
@@ -60,8 +58,10 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
     A lower ``to`` ramps down first. Velocities and spins are scaled with the rate.
     """
     for name, value, known in (
-        ("rate", rate, ranges.RATE_SIZE), ("to", to, ranges.RATE_SIZE), ("kappa", kappa, ranges.KAPPA),
-    ):  # fmt: skip
+        ("rate", rate, ranges.RATE_SIZE),
+        ("to", to, ranges.RATE_SIZE),
+        ("kappa", kappa, ranges.KAPPA),
+    ):
         known.check(f"ramp: {name}", value)
     if rate == to:
         raise InputError(f"ramp: it begins and turns at the same strain rate, {shown(rate)}")
@@ -94,15 +94,14 @@ def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale")
     ends, values = np.cumsum(times), np.array(rates, dtype=float)
     if bulk == "scale" and (values == 0).any():
         bulk = "profile"
-    settings = {
-        "rate": float(rates[0]),
-        "rates": list(map(float, rates)),
-        "strains": list(map(float, strains)),
-    }
+    settings = {"rate": float(rates[0]), "rates": list(map(float, rates)), "strains": list(map(float, strains))}
     return Protocol(
-        "steps", lambda t: values[np.minimum(np.searchsorted(ends, t, side="right"), len(values) - 1)],
-        float(ends[-1]), bulk, settings,
-    )  # fmt: skip
+        "steps",
+        lambda t: values[np.minimum(np.searchsorted(ends, t, side="right"), len(values) - 1)],
+        float(ends[-1]),
+        bulk,
+        settings,
+    )
 
 
 def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
@@ -117,21 +116,18 @@ def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
     cycles : float
     """
     for name, value, known in (
-        ("amplitude", amplitude, ranges.AMPLITUDE), ("omega", omega, ranges.SWING),
+        ("amplitude", amplitude, ranges.AMPLITUDE),
+        ("omega", omega, ranges.SWING),
         ("cycles", cycles, ranges.CYCLES),
-    ):  # fmt: skip
+    ):
         known.check(f"shear: the {name}", value)
     ranges.RATE_SIZE.check("shear: amplitude × omega", amplitude * omega)
     settings = {"rate": amplitude * omega, "amplitude": amplitude, "omega": omega, "cycles": cycles}
     duration = 2 * np.pi * cycles / omega
-    return Protocol(
-        "oscillation", lambda t: amplitude * omega * np.cos(omega * t), duration, "profile", settings
-    )
+    return Protocol("oscillation", lambda t: amplitude * omega * np.cos(omega * t), duration, "profile", settings)
 
 
 def _check_rate(rate: float) -> None:
     ranges.RATE.check("shear: the strain rate", rate)
     if abs(rate) not in ranges.RATE_SIZE:
-        raise InputError(
-            f"shear: the size of the strain rate must be {ranges.RATE_SIZE}, not {shown(abs(rate))}"
-        )
+        raise InputError(f"shear: the size of the strain rate must be {ranges.RATE_SIZE}, not {shown(abs(rate))}")

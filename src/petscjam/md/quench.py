@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import release
+from petscjam.base.progress import Report
+from petscjam.geometry.packing import Packing
 from petscjam.md.result import Run
 from petscjam.md.state import State
-from petscjam.packing.packing import Packing
-from petscjam.packing.prepare import BUDGET, relax_packing
-from petscjam.progress import Report
-from petscjam.storage import release
+from petscjam.preparation.prepare import BUDGET, relax_packing
 
 SETTINGS = ("model", "law", "Q", "potential", "drag", "spin_drag", "protocol", "start", "seed")
 

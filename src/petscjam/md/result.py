@@ -14,20 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.box import Array
-from petscjam.errors import InputError, shown
+from petscjam.base.errors import InputError, shown
+from petscjam.base.files import check_output, check_shapes, check_type, group, h5_format, open_h5, write_atomically
+from petscjam.base.types import Array
+from petscjam.geometry.potential import power_law
 from petscjam.md.model import model_of
 from petscjam.md.state import State
-from petscjam.potential import power_law
-from petscjam.storage import (
-    check_output,
-    check_shapes,
-    check_type,
-    group,
-    h5_format,
-    open_h5,
-    write_atomically,
-)
 
 FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
 MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
@@ -37,54 +29,96 @@ MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_
 # Means over an interval unless said otherwise. The pressure tensor is VOT's eqs. 12–14: first index force or
 # velocity, second index separation; dissipative_yx is listed since model CD makes it differ from _xy.
 ROWS = {
-    "time": "τe, at the end of the interval", "strain": "at the end", "rate": "1/τe",
-    "elastic_xx": "m/τe²", "elastic_xy": "m/τe²", "elastic_yy": "m/τe²",
-    "dissipative_xx": "m/τe²", "dissipative_xy": "m/τe²", "dissipative_yx": "m/τe²",
+    "time": "τe, at the end of the interval",
+    "strain": "at the end",
+    "rate": "1/τe",
+    "elastic_xx": "m/τe²",
+    "elastic_xy": "m/τe²",
+    "elastic_yy": "m/τe²",
+    "dissipative_xx": "m/τe²",
+    "dissipative_xy": "m/τe²",
+    "dissipative_yx": "m/τe²",
     "dissipative_yy": "m/τe²",
-    "kinetic_xx": "m/τe²", "kinetic_xy": "m/τe²", "kinetic_yy": "m/τe²",
+    "kinetic_xx": "m/τe²",
+    "kinetic_xy": "m/τe²",
+    "kinetic_yy": "m/τe²",
     "contacts": "Z",
     "energy": "m ds²/τe², at the end: elastic, peculiar kinetic and rotational",
     "work": "m ds²/τe² done by the shear stress in the interval",
     "jumps": "m ds²/τe² brought by sudden changes of the strain rate",
     "heat": "m ds²/τe² dissipated in the interval",
     "imbalance": "m ds²/τe², change of energy − work − jumps + heat: what the budget misses",
-    "made": "contacts made in the interval", "broken": "contacts broken",
+    "made": "contacts made in the interval",
+    "broken": "contacts broken",
     "duration": "τe, sum over the contacts broken",
-    "spin": "1/τe, mean θ̇", "spin_variance": "1/τe², over disks and time",
-    "dvx2": "ds²/τe² (VOT eq. 35)", "vy2": "ds²/τe² (VOT eq. 36)",
-    "normal2": "ds²/τe², mean square normal velocity of contacts", "tangential2": "ds²/τe²",
+    "spin": "1/τe, mean θ̇",
+    "spin_variance": "1/τe², over disks and time",
+    "dvx2": "ds²/τe² (VOT eq. 35)",
+    "vy2": "ds²/τe² (VOT eq. 36)",
+    "normal2": "ds²/τe², mean square normal velocity of contacts",
+    "tangential2": "ds²/τe²",
     "steps": "time steps, each part counted",
-    "parts": "most parts that a time step dt was divided into", "rebuilds": "neighbour lists built",
-}  # fmt: skip
+    "parts": "most parts that a time step dt was divided into",
+    "rebuilds": "neighbour lists built",
+}
 # Sums over a block; M is the number of layers in y, each about ds high.
 BLOCKS = {
     "strain": "(B,) at the end of the block",
     "samples": "(B,) moments at which disks and contacts were looked at",
-    "making": "(B, 100) contacts made by collision angle ϑ, from −180°", "breaking": "(B, 100)",
-    "layer_disks": "(B, M) disks by layer", "layer_vx": "(B, M) ds/τe, sum of vx",
+    "making": "(B, 100) contacts made by collision angle ϑ, from −180°",
+    "breaking": "(B, 100)",
+    "layer_disks": "(B, M) disks by layer",
+    "layer_vx": "(B, M) ds/τe, sum of vx",
     "layer_area": "(B, M) ds², sum of disk area",
     "pairs": "(B,) contacts looked at",
     "first": "(B, 4) sums of V_T, V^R, V^C_T, V_N over contacts, in ds γ̇",
     "second": "(B, 4, 4) sums of their products",
     "scatter": "(B, S, 4) some of them, one row a contact, NaN where there were fewer",
-}  # fmt: skip
+}
 
 
 SHAPES = {
-    "strain": "B", "samples": "B", "making": f"B {BINS}", "breaking": f"B {BINS}", "layer_disks": "B M",
-    "layer_vx": "B M", "layer_area": "B M", "pairs": "B", "first": "B 4", "second": "B 4 4",
+    "strain": "B",
+    "samples": "B",
+    "making": f"B {BINS}",
+    "breaking": f"B {BINS}",
+    "layer_disks": "B M",
+    "layer_vx": "B M",
+    "layer_area": "B M",
+    "pairs": "B",
+    "first": "B 4",
+    "second": "B 4 4",
     "scatter": "B S 4",
-}  # fmt: skip
+}
 CHECKPOINT = {
-    "q": "N 5", "radii": "N", "masses": "N", "tag": "N", "contacts": "C 3", "numbers": "5", "counts": "2",
-    "start": "T", "block_angles": f"2 {BINS}", "block_layers": "3 M", "block_moments": "5 4",
-    "block_scatter": "S 4", "block_looked": "2",
-}  # fmt: skip
+    "q": "N 5",
+    "radii": "N",
+    "masses": "N",
+    "tag": "N",
+    "contacts": "C 3",
+    "numbers": "5",
+    "counts": "2",
+    "start": "T",
+    "block_angles": f"2 {BINS}",
+    "block_layers": "3 M",
+    "block_moments": "5 4",
+    "block_scatter": "S 4",
+    "block_looked": "2",
+}
 SETTINGS = {  # without which a run cannot be read
-    "model": "str", "law": "str", "Q": "float", "protocol": "str", "dt": "float", "integrator": "str",
-    "potential": "str", "particles": "int", "phi": "float", "start": "str", "strain0": "float",
+    "model": "str",
+    "law": "str",
+    "Q": "float",
+    "protocol": "str",
+    "dt": "float",
+    "integrator": "str",
+    "potential": "str",
+    "particles": "int",
+    "phi": "float",
+    "start": "str",
+    "strain0": "float",
     "time0": "float",
-}  # fmt: skip
+}
 
 
 class Mean(NamedTuple):
@@ -318,7 +352,7 @@ def _check(settings: Mapping[str, Any], rows: Mapping[str, Array], blocks: Mappi
 
 
 def read_checkpoint(h5: Any) -> dict[str, Any]:
-    """Return what a run needs to go on (:meth:`petscjam.md.book.Book.write`) from an open HDF5 file."""
+    """Return what a run needs to go on (:meth:`petscjam.md.recording.Book.write`) from an open HDF5 file."""
     saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
     check_shapes("checkpoint", CHECKPOINT, saved)
     whole = {"tag", "contacts", "counts", "block_angles"}

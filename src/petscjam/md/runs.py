@@ -12,25 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from petscjam import ranges
-from petscjam.compiled import build, use_threads
-from petscjam.damping import DampingLaw
-from petscjam.errors import DoubtfulWarning, InputError
-from petscjam.interrupt import deferred
+from petscjam.base import ranges
+from petscjam.base.compiled import build, use_threads
+from petscjam.base.errors import DoubtfulWarning, InputError
+from petscjam.base.files import check_output, open_h5, release
+from petscjam.base.interrupt import deferred
+from petscjam.base.progress import Report
+from petscjam.base.ranges import MOST_ROWS, MOST_STEPS
+from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import protocols
-from petscjam.md.book import Book
 from petscjam.md.frames import frames_of, remove_frames
 from petscjam.md.model import model as model_of
 from petscjam.md.protocols import Protocol
+from petscjam.md.recording import Book
 from petscjam.md.result import Run, read_checkpoint, read_run
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import Start, first_state, given_state
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
-from petscjam.potential import POTENTIALS, power_law
-from petscjam.progress import Report
-from petscjam.ranges import MOST_ROWS, MOST_STEPS
-from petscjam.storage import check_output, open_h5, release
+from petscjam.rows.damping import DampingLaw
 
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
 BUILD = ("version", "numba", "processor")  # settings that change no more than the last bits
@@ -40,11 +40,18 @@ BYTES_PER_ROW = 4000  # numbers of a row, its share of a block, and copies while
 
 
 def shear(
-    model: str | DampingLaw = "CD_rot", n: int | None = None, phi: float | None = None, Q: float = 1.0,
-    rate: float = 1e-4, strain: float = 10.0, seed: int = 1, dt: float | None = None,
+    model: str | DampingLaw = "CD_rot",
+    n: int | None = None,
+    phi: float | None = None,
+    Q: float = 1.0,
+    rate: float = 1e-4,
+    strain: float = 10.0,
+    seed: int = 1,
+    dt: float | None = None,
     start: Start = None,
-    output: str | PathLike[str] | None = None, **options: Any,
-) -> Run:  # fmt: skip
+    output: str | PathLike[str] | None = None,
+    **options: Any,
+) -> Run:
     """Shear disks at a steady rate (VOT sec. II).
 
     Parameters
@@ -90,25 +97,24 @@ def shear(
         If the disks fly apart.
     """
     return run(
-        protocols.steady(rate, strain),
-        model,
-        n,
-        phi,
-        Q,
-        seed=seed,
-        dt=dt,
-        start=start,
-        output=output,
-        **options,
+        protocols.steady(rate, strain), model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options
     )
 
 
 def ramp(
-    model: str | DampingLaw = "CD_rot", n: int | None = None, phi: float | None = None, Q: float = 1.0,
-    rate: float = 1e-6, to: float = 1e-3, kappa: float = 1e-5, seed: int = 1, dt: float | None = None,
+    model: str | DampingLaw = "CD_rot",
+    n: int | None = None,
+    phi: float | None = None,
+    Q: float = 1.0,
+    rate: float = 1e-6,
+    to: float = 1e-3,
+    kappa: float = 1e-5,
+    seed: int = 1,
+    dt: float | None = None,
     start: Start = None,
-    output: str | PathLike[str] | None = None, **options: Any,
-) -> Run:  # fmt: skip
+    output: str | PathLike[str] | None = None,
+    **options: Any,
+) -> Run:
     """Raise the strain rate from ``rate`` to ``to`` by 10^κ̃ every τe, and lower it again (VOT sec. III D).
 
     Each row averages over 10³ τe. ``rate`` and ``to`` are in 1/τe, ``kappa`` is κ̃; the other parameters are
@@ -120,13 +126,27 @@ def ramp(
 
 @deferred()
 def run(
-    protocol: Protocol, model: str | DampingLaw, n: int | None = None, phi: float | None = None,
-    Q: float = 1.0, *, seed: int = 1, dt: float | None = None, start: Start = None,
-    output: str | PathLike[str] | None = None, integrator: str = "heun", threads: int = 1,
-    exponent: float | None = None, drag: float = 0.0, spin_drag: float = 0.0, row_time: float | None = None,
-    resume: bool = False, overwrite: bool = False, frames: int = 0,
+    protocol: Protocol,
+    model: str | DampingLaw,
+    n: int | None = None,
+    phi: float | None = None,
+    Q: float = 1.0,
+    *,
+    seed: int = 1,
+    dt: float | None = None,
+    start: Start = None,
+    output: str | PathLike[str] | None = None,
+    integrator: str = "heun",
+    threads: int = 1,
+    exponent: float | None = None,
+    drag: float = 0.0,
+    spin_drag: float = 0.0,
+    row_time: float | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    frames: int = 0,
     progress: Report | None = None,
-) -> Run:  # fmt: skip
+) -> Run:
     """Shear disks along any protocol; parameters that are not listed are those of :func:`shear`.
 
     Parameters
@@ -153,7 +173,7 @@ def run(
         So many snapshots on the way, evenly spaced, in the folder OUTPUT.frames
         (:func:`petscjam.md.frames.write_frame`).
     progress : callable
-        See :mod:`petscjam.progress`.
+        See :mod:`petscjam.base.progress`.
     """
     use_threads(threads)
     ranges.SEED.check("shear: the seed", seed)
@@ -179,12 +199,23 @@ def run(
         dt = float(there["dt"]) if dt is None and there else law.step(dt, integrator)
         total, row_steps = _lengths(protocol, dt, row_time, there.get("row_steps"))
         settings = {
-            "model": law.name, "law": law.law.name, **asdict(law.law), "Q": float(Q),
-            "potential": potential.name, "drag": float(drag), "spin_drag": float(spin_drag),
-            "protocol": protocol.name, **protocol.settings, "bulk": protocol.bulk,
-            "dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads,
-            "version": release("petscjam"), **build(),
-        }  # fmt: skip
+            "model": law.name,
+            "law": law.law.name,
+            **asdict(law.law),
+            "Q": float(Q),
+            "potential": potential.name,
+            "drag": float(drag),
+            "spin_drag": float(spin_drag),
+            "protocol": protocol.name,
+            **protocol.settings,
+            "bulk": protocol.bulk,
+            "dt": dt,
+            "integrator": integrator,
+            "row_steps": row_steps,
+            "threads": threads,
+            "version": release("petscjam"),
+            **build(),
+        }
         asked: dict[str, Any] = {"particles": n, "phi": phi}
         asked |= {"seed": seed} if given is None else {"start": origin}
         if earlier is not None:
@@ -196,8 +227,9 @@ def run(
             _note_build(output, book.settings, settings)
         else:
             first = first_state(given, origin, n, phi, seed, law, protocol)
-            settings.update(asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain,
-                            time0=first.time)  # fmt: skip
+            settings.update(
+                asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain, time0=first.time
+            )
             simulation = Simulation(first, law, dt, integrator, threads)
             book = Book(settings, simulation)
             if output is not None:
@@ -220,9 +252,7 @@ def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int
         ranges.ROW_TIME.check("shear: row_time", row_time)
     steps = protocol.duration / dt
     if not steps <= MOST_STEPS:
-        raise InputError(
-            f"shear: the run takes {steps:.3g} steps of {dt:.3g} tau_e; at most {MOST_STEPS:.0g}"
-        )
+        raise InputError(f"shear: the run takes {steps:.3g} steps of {dt:.3g} tau_e; at most {MOST_STEPS:.0g}")
     total = max(round(steps), 1)
     between = protocol.row_time if row_time is None and earlier is None else row_time
     if between is not None:
@@ -260,11 +290,7 @@ def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping
 
 def _note_build(output: str | PathLike[str] | None, there: dict[str, Any], here: Mapping[str, Any]) -> None:
     """Say that a run goes on elsewhere, where it does: not bit for bit then. The file keeps the latest."""
-    changed = [
-        f"{name} {there[name]}, now {here[name]}"
-        for name in BUILD
-        if there.get(name) not in (None, here[name])
-    ]
+    changed = [f"{name} {there[name]}, now {here[name]}" for name in BUILD if there.get(name) not in (None, here[name])]
     if changed:
         warnings.warn(f"{output}: was made with {'; '.join(changed)}: the last bits may differ", stacklevel=4)
     there |= {name: here[name] for name in BUILD}

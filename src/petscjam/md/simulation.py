@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array
-from petscjam.errors import InputError, SolverError, shown
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.types import Array
+from petscjam.geometry.neighbours import CHUNK
 from petscjam.md import kernels
 from petscjam.md.kernels import BINS, HEUN, SINGLE, SUMS, TICKS, Disks, Events, Law
 from petscjam.md.model import BULK, Model, stable_step
 from petscjam.md.neighbours import list_pairs, mark, open_contacts, order_in_space, wrap
 from petscjam.md.state import State
-from petscjam.neighbours import CHUNK
 
 SCHEMES = {"heun": HEUN, "single": SINGLE}
 SKIN = 0.03  # ds, the first list
@@ -53,9 +53,14 @@ class Simulation:
     """
 
     def __init__(
-        self, state: State, model: Model, dt: float | None = None, integrator: str = "heun", threads: int = 1,
+        self,
+        state: State,
+        model: Model,
+        dt: float | None = None,
+        integrator: str = "heun",
+        threads: int = 1,
         masses: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.model, self.integrator, self.threads = model, integrator, threads
         self.dt = model.step(dt, integrator)
         self.L, self.strain, self.rate, self.time = state.length, state.strain, state.rate, state.time
@@ -69,9 +74,14 @@ class Simulation:
         exponent = None if model.potential.exponent == 2 else model.potential.exponent
         absolute = None if model.potential.relative else 1.0
         self._law = Law(
-            model.normal, model.tangential, float(model.rolls), exponent, absolute, float(model.body),
+            model.normal,
+            model.tangential,
+            float(model.rolls),
+            exponent,
+            absolute,
+            float(model.body),
             float(model.spin_drag),
-        )  # fmt: skip
+        )
         self._threads = True if threads > 1 else None  # None: the kernel of one thread alone is compiled
         self.skin = SKIN
         self.steps = self.rebuilds = self.substeps = 0
@@ -101,9 +111,7 @@ class Simulation:
         self._built, self._since = self.strain, self.substeps
         self.rebuilds += 1
         if mark(self._pairs, self.tag, contacts):
-            raise SolverError(
-                f"shear: a contact was lost at a strain of {self.strain:.6g}; take a smaller dt"
-            )
+            raise SolverError(f"shear: a contact was lost at a strain of {self.strain:.6g}; take a smaller dt")
         self.parts = self.demand()
 
     def fastest(self) -> tuple[float, float]:
@@ -158,9 +166,7 @@ class Simulation:
         strains = np.concatenate([[self.strain], strains])
         rates = np.concatenate([[self.rate], rates])
         if BULK[bulk] == 1 and (rates[:-1] == 0).any() and (rates[1:] != rates[:-1]).any():
-            raise InputError(
-                "shear: velocities cannot be scaled from a strain rate of 0; choose another bulk"
-            )
+            raise InputError("shear: velocities cannot be scaled from a strain rate of 0; choose another bulk")
         done, count = 0, len(rates) - 1
         while done < count:
             parts = self._begin()
@@ -171,11 +177,24 @@ class Simulation:
                 # once other parts are demanded, finish the step that was begun
                 end = len(fine) if self.parts == parts else made + parts - made % parts + 1
                 some = kernels.advance(
-                    self._disks, self._pairs, self._law, self.L, self.dt, parts, SCHEMES[self.integrator],
-                    at[made:end], fine[made:end], BULK[bulk], self._built, self.skin, self._threads,
-                    self.steps * TICKS + made % parts * (TICKS // parts), self._sums, self._events,
+                    self._disks,
+                    self._pairs,
+                    self._law,
+                    self.L,
+                    self.dt,
+                    parts,
+                    SCHEMES[self.integrator],
+                    at[made:end],
+                    fine[made:end],
+                    BULK[bulk],
+                    self._built,
+                    self.skin,
+                    self._threads,
+                    self.steps * TICKS + made % parts * (TICKS // parts),
+                    self._sums,
+                    self._events,
                     self._total,
-                )  # fmt: skip
+                )
                 self.steps += (made + some) // parts - made // parts
                 made += some
                 self.substeps += some
@@ -203,8 +222,7 @@ class Simulation:
         self._check()
         if self.skin >= min(SKINS[1], self._widest):
             raise SolverError(
-                f"shear: disks leave their neighbours within a step at a strain of "
-                f"{self.strain:.6g}; take a smaller dt"
+                f"shear: disks leave their neighbours within a step at a strain of {self.strain:.6g}; take a smaller dt"
             )
         self.skin *= 2
         self._build(open_contacts(self._pairs, self.tag))
@@ -220,9 +238,20 @@ class Simulation:
         d, now = self._disks, np.zeros(SUMS)
         d.F[:] = 0.0
         kernels.forces(
-            d.q, d.F, d, self._pairs, self._law, self.L, self.strain, self.rate, self._threads, True,
-            self.steps * TICKS, self._sums, self._events,
-        )  # fmt: skip
+            d.q,
+            d.F,
+            d,
+            self._pairs,
+            self._law,
+            self.L,
+            self.strain,
+            self.rate,
+            self._threads,
+            True,
+            self.steps * TICKS,
+            self._sums,
+            self._events,
+        )
         self._sums[:, kernels.KXX : kernels.WORK] = 0.0
         kernels.kinetic(d.q, d.m, self.rate, self._sums)
         kernels.book(self._sums, self.rate, 1.0, now)
@@ -275,9 +304,7 @@ class Simulation:
         """Look at every disk and contact once (:func:`petscjam.md.kernels.observe`)."""
         d = self._disks
         pick = (self.steps * 2654435761) % 2**31  # spread over the contacts, the same after a restart
-        return kernels.observe(
-            d.q, d.R, self._pairs, self.L, self.strain, self.rate, pick, layers, moments, scatter
-        )
+        return kernels.observe(d.q, d.R, self._pairs, self.L, self.strain, self.rate, pick, layers, moments, scatter)
 
     @property
     def state(self) -> State:
@@ -287,9 +314,8 @@ class Simulation:
         R = np.empty(len(q))
         R[self.tag] = self._disks.R
         return State(
-            q[:, :2], q[:, 2:4], q[:, 4] / R, R, self.L, self.strain, self.rate, self.time,
-            self.model.potential.name,
-        )  # fmt: skip
+            q[:, :2], q[:, 2:4], q[:, 4] / R, R, self.L, self.strain, self.rate, self.time, self.model.potential.name
+        )
 
     def checkpoint(self) -> dict[str, Any]:
         """Build a new list; return all that :meth:`restored` needs to go on as if nothing had happened.
@@ -300,16 +326,18 @@ class Simulation:
         self._divided = self.parts
         d = self._disks
         return {
-            "q": d.q.copy(), "radii": d.R.copy(), "masses": d.m.copy(), "tag": self.tag.copy(),
+            "q": d.q.copy(),
+            "radii": d.R.copy(),
+            "masses": d.m.copy(),
+            "tag": self.tag.copy(),
             "contacts": open_contacts(self._pairs, self.tag),
             "numbers": np.array([self.L, self.strain, self.rate, self.time, self.skin]),
-            "counts": np.array([self.steps, self.rebuilds]), "start": self._start.copy(),
-        }  # fmt: skip
+            "counts": np.array([self.steps, self.rebuilds]),
+            "start": self._start.copy(),
+        }
 
     @classmethod
-    def restored(
-        cls, saved: dict[str, Any], model: Model, dt: float, integrator: str, threads: int = 1
-    ) -> Simulation:
+    def restored(cls, saved: dict[str, Any], model: Model, dt: float, integrator: str, threads: int = 1) -> Simulation:
         """Return the simulation of a :meth:`checkpoint`."""
         q, radii = saved["q"], saved["radii"]
         L, strain, rate, time, skin = (float(x) for x in saved["numbers"])

@@ -11,24 +11,24 @@ from pathlib import Path
 
 import numpy as np
 
-from petscjam.box import Array, Box
-from petscjam.damping import ContactDamping
-from petscjam.errors import InputError, readable, shown
+from petscjam.base.errors import InputError, readable, shown
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
 from petscjam.md.model import Model
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import Run, is_run, read
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state
-from petscjam.packing.packing import Packing
+from petscjam.rows.damping import ContactDamping
 
 Start = State | Run | Packing | str | PathLike[str] | None
 SETTLE = 200.0  # τe that disks at random positions are given to part
 
 
 def first_state(
-    state: State | None, origin: str, n: int | None, phi: float | None, seed: int, model: Model,
-    protocol: Protocol,
-) -> State:  # fmt: skip
+    state: State | None, origin: str, n: int | None, phi: float | None, seed: int, model: Model, protocol: Protocol
+) -> State:
     """Return the first state, on the linear profile of the first strain rate, from a given one or at random.
 
     Disks at random positions part first. Of a run, velocities and spins are scaled to the new rate (VOT eqs.
@@ -108,9 +108,14 @@ def _at_rest(packing: Packing) -> tuple[State, str]:
     c, s = np.cos(angle), np.sin(angle)
     x = packing.positions @ np.array([[c, -s], [s, c]]) if angle else packing.positions
     state = State(
-        x / unit, np.zeros((n, 2)), np.zeros(n), packing.radii / unit, edge / unit, tilt,
+        x / unit,
+        np.zeros((n, 2)),
+        np.zeros(n),
+        packing.radii / unit,
+        edge / unit,
+        tilt,
         potential_name=packing.potential_name,
-    ).wrapped()  # fmt: skip
+    ).wrapped()
     turned = f", turned by {np.degrees(-angle):.6g} degrees" if angle else ""
     return state, f"packing {packing.checksum}{turned}"
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petscjam import ranges
-from petscjam.box import Array, Box, frozen
-from petscjam.errors import InputError, shown
-from petscjam.packing.packing import Packing
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, shown
+from petscjam.base.types import Array, frozen
+from petscjam.geometry.box import Box
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import Potential, potential
 from petscjam.parallel.memory import require
-from petscjam.potential import Potential, potential
 
 RATIO = 1.4
 BYTES_PER_DISK = 1000  # of a simulation: disks, pairs, sums, and what is written

@@ -18,9 +18,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.files import check_folder, naming
 from petscjam.parallel.comm import on_root
-from petscjam.storage import check_folder, naming
 
 PATIENCE = 2.0  # seconds that a claim may stay empty, or in the hands of one who removes it
 _held: set[tuple[Path, int]] = set()  # claims and processes: a forked child has none of its own

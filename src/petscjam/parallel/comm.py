@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from petscjam.errors import InputError, SolverError
-from petscjam.interrupt import Interrupted
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import Interrupted
 
 T = TypeVar("T")
 

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.errors import SolverError
-from petscjam.interrupt import check
+from petscjam.base.errors import SolverError
+from petscjam.base.interrupt import check
+from petscjam.base.types import Array
 from petscjam.parallel.comm import total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
@@ -100,9 +100,7 @@ def search_all(
         missing = max(min(count + SPARE, most) - there, 0)
         if not missing and there < most:
             try:
-                missing, sigma, notes = _missing(
-                    found.values, count, count_below, least(found.values), left_out
-                )
+                missing, sigma, notes = _missing(found.values, count, count_below, least(found.values), left_out)
             except SolverError as error:
                 complete, notes = None, [f"the modes could not be counted: {error}"]
         seconds.append(np.diff([*times, time.perf_counter()]))
@@ -118,11 +116,7 @@ def search_all(
 
 
 def _missing(
-    values: Array,
-    count: int,
-    count_below: Callable[[float, float], int],
-    least: float,
-    left_out: Sequence[float],
+    values: Array, count: int, count_below: Callable[[float, float], int], least: float, left_out: Sequence[float]
 ) -> tuple[int, float, list[str]]:
     """Return how many eigenvalues below some σ above the lowest ``count`` are missing, σ, and notes."""
     known, last = np.sort([*values, *left_out]), values[count - 1]

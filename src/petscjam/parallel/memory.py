@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.parallel.comm import raise_together
 from petscjam.parallel.container import memory_left
 

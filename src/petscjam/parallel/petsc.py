@@ -11,18 +11,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from petscjam.errors import InputError, SolverError
-from petscjam.interrupt import Interrupted, deferred
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import Interrupted, deferred
 
 ADVICE = (
     'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
     "python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc configured with "
     "--with-scalar-type=complex --download-mumps (docs: Installing)"
 )
-OPENBLAS_KERNELS = {
-    "SKYLAKEX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
-    "HASWELL": {"avx2", "fma"},
-}
+OPENBLAS_KERNELS = {"SKYLAKEX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"}, "HASWELL": {"avx2", "fma"}}
 _options: list[str] = []
 _world: list[Any] = []
 
@@ -61,9 +58,7 @@ def petsc() -> ModuleType:
         from mpi4py import MPI
 
         # Its handlers would end the job where a pipe closes, or where a signal is to stop it.
-        petsc4py.init(
-            ["petscjam", "-no_signal_handler", *_options], comm=_world[0] if _world else MPI.COMM_SELF
-        )
+        petsc4py.init(["petscjam", "-no_signal_handler", *_options], comm=_world[0] if _world else MPI.COMM_SELF)
         from petsc4py import PETSc
     except ImportError as error:
         raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None

@@ -13,8 +13,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from petscjam.errors import SolverError
-from petscjam.interrupt import check
+from petscjam.base.errors import SolverError
+from petscjam.base.interrupt import check
 from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
 
@@ -33,9 +33,7 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(
-        self, comm: Any, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float
-    ) -> None:
+    def __init__(self, comm: Any, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float) -> None:
         PETSc = petsc()
         self.factorisations = 0
         self._comm = comm

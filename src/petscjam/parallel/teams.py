@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.parallel import container
 
 T = TypeVar("T")

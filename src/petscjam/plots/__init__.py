@@ -12,7 +12,7 @@ from petscjam.analysis.density import DensityOfStates
 from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import QuasistaticResponse
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 from petscjam.plots.correlations import plot_correlations
 from petscjam.plots.density import plot_density
 from petscjam.plots.drag import plot_drag
@@ -41,7 +41,7 @@ __all__ = [
     "plot_relaxations",
     "plot_results",
     "plot_viscosity",
-]  # fmt: skip
+]
 
 PICTURES: dict[type, Callable[[Mapping[str, Any], str | PathLike[str]], None]] = {
     ComplexModulus: plot_moduli,

@@ -58,9 +58,14 @@ def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
         rising = np.argsort(mean.omega)
         shown = rising[np.unique(np.linspace(0, len(rising) - 1, CURVES).round().astype(int))]
         for k, w in enumerate(shown):
-            axes.plot(mean.delta[1:] / mean.L, mean.C[w][1:], style, lw=1.1 if style == "-" else 0.7,
-                      color=colormaps["viridis"](0.9 * k / max(len(shown) - 1, 1)),
-                      label=f"{mean.omega[w]:.1e}" if style == "-" else None)  # fmt: skip
+            axes.plot(
+                mean.delta[1:] / mean.L,
+                mean.C[w][1:],
+                style,
+                lw=1.1 if style == "-" else 0.7,
+                color=colormaps["viridis"](0.9 * k / max(len(shown) - 1, 1)),
+                label=f"{mean.omega[w]:.1e}" if style == "-" else None,
+            )
     axes.axhline(0, color="0.6", lw=0.8, zorder=0)
     axes.set(xlabel=r"$\delta/L$", ylabel=r"$C$  (solid: peak stress, dashed: zero stress)", xlim=(0, 0.5))
     axes.legend(title=r"$\omega\tau_1$", frameon=False, fontsize=8)
@@ -71,10 +76,16 @@ def _draw_lengths(axes: Any, alike: Mapping[Any, Mapping[str, Correlations]]) ->
     for (law, prestress, n, p, _), some in alike.items():
         mean = correlation_length(some, unstable=True)
         rising = np.argsort(mean.omega)
-        axes.errorbar(mean.omega[rising], mean.length[rising] / mean.L,
-                      np.nan_to_num(mean.error[rising]) / mean.L,
-                      fmt="o-", ms=4, lw=1, mfc=None if prestress else "white",
-                      label=f"{law}, N = {n}, p = {p:g}, {given(prestress)}")  # fmt: skip
+        axes.errorbar(
+            mean.omega[rising],
+            mean.length[rising] / mean.L,
+            np.nan_to_num(mean.error[rising]) / mean.L,
+            fmt="o-",
+            ms=4,
+            lw=1,
+            mfc=None if prestress else "white",
+            label=f"{law}, N = {n}, p = {p:g}, {given(prestress)}",
+        )
     axes.axhline(0.25, color="0.6", ls=":", lw=0.8, zorder=0)
     axes.set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel=r"$l/L$  (dotted: ¼)")
     axes.set_ylim(bottom=axes.get_ylim()[0] / 3)  # room for the legend

@@ -35,15 +35,25 @@ def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[st
         label = f"p = {pressure[name]}" + ("" if d.prestress else ", no pre-stress")
         omega = np.geomspace(blind / 3, 0.999 * d.edge, 800)
         curve, flat = d.at(omega), plateau(d)
-        axes.loglog(omega, curve.density, "-" if d.prestress else "--", color=colour, lw=1.1,
-                    label=None if label in labels else label)  # fmt: skip
+        axes.loglog(
+            omega,
+            curve.density,
+            "-" if d.prestress else "--",
+            color=colour,
+            lw=1.1,
+            label=None if label in labels else label,
+        )
         labels.add(label)
         low = np.maximum(curve.density - curve.error, 1e-9 * top)
         axes.fill_between(omega, low, curve.density + curve.error, color=colour, alpha=0.25, lw=0)
         axes.plot(flat.onset, flat.height / 2, "o", color=colour, ms=6, mec="white", zorder=3)
     axes.plot([], [], "o", color="0.4", label=r"$\omega^*$")
     axes.axvspan(blind / 3, blind, color="0.5", alpha=0.18, lw=0, label="below the resolution")
-    axes.set(xlim=(blind / 3, None), ylim=(3e-3 * top, 2 * top),
-             xlabel=r"frequency $\omega$, unit masses", ylabel=r"$D(\omega)$")  # fmt: skip
+    axes.set(
+        xlim=(blind / 3, None),
+        ylim=(3e-3 * top, 2 * top),
+        xlabel=r"frequency $\omega$, unit masses",
+        ylabel=r"$D(\omega)$",
+    )
     axes.legend(loc="lower right", bbox_to_anchor=(0.88, 0), frameon=False, fontsize=8)
     save(figure, path, results)

@@ -44,15 +44,15 @@ def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]
     for form, alpha in sorted({(g.form, g.alpha) for g in results.values()}):
         _guides(panels[1], [g for g in results.values() if (g.form, g.alpha) == (form, alpha)])
     panels[0].legend(frameon=False, fontsize=8)
-    for axes, name in zip(panels, (r"$G'$  (units of $k$)", r"$G''$  (units of $k$)", r"$\tau/\tau_1$"),
-                          strict=True):  # fmt: skip
+    for axes, name in zip(panels, (r"$G'$  (units of $k$)", r"$G''$  (units of $k$)", r"$\tau/\tau_1$"), strict=True):
         axes.set(xlabel=r"angular frequency $\omega\tau_1$", title=name)
     panels[2].set_title(r"friction time $\tau/\tau_1$; band: spread of $\ln\tau_c$")
     first = next(iter(results.values()))
     figure.suptitle(
         f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}; {first.strain}; "
-        f"{'with' if first.prestress else 'without'} pre-stress", fontsize=10,
-    )  # fmt: skip
+        f"{'with' if first.prestress else 'without'} pre-stress",
+        fontsize=10,
+    )
     save(figure, path, results)
 
 
@@ -65,9 +65,7 @@ def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:
         axes.loglog(g.omega[lost], values[lost], "x", color=UNSTABLE)
     if g.spread.any():
         factor = np.exp(g.spread[rising])
-        panels[2].fill_between(
-            omega, g.tau[rising] / factor, g.tau[rising] * factor, color=shade, alpha=0.15, lw=0
-        )
+        panels[2].fill_between(omega, g.tau[rising] / factor, g.tau[rising] * factor, color=shade, alpha=0.15, lw=0)
 
 
 def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
@@ -79,12 +77,17 @@ def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
     g, above = (first, 2.0) if first.form == "uniform" else (last, 0.5)
     middle = int(np.argmin(abs(np.log(abs(g.values.imag / g.values.real)))))
     low = int(np.argmin(g.omega))
-    for at, reach, slope, text in (
-        (low, 1e3, g.alpha, r"\alpha"), (middle, 1e2, power(g.alpha), name),
-    ):  # fmt: skip
+    for at, reach, slope, text in ((low, 1e3, g.alpha, r"\alpha"), (middle, 1e2, power(g.alpha), name)):
         span = g.omega[at] * np.array([1, reach])
         guide = above * abs(g.values.imag[at]) * (span / span[0]) ** slope
         axes.loglog(span, guide, STYLE[g.form], color="0.5", lw=1)
         end, shift, side = (1, (-4, 0), "right") if above > 1 else (0, (6, -10), "left")
-        axes.annotate(f"slope ${text}$", (span[end], guide[end]), color="0.4", fontsize=8,
-                      xytext=shift, textcoords="offset points", ha=side)  # fmt: skip
+        axes.annotate(
+            f"slope ${text}$",
+            (span[end], guide[end]),
+            color="0.4",
+            fontsize=8,
+            xytext=shift,
+            textcoords="offset points",
+            ha=side,
+        )

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.errors import InputError
-from petscjam.storage import write_atomically
+from petscjam.base.errors import InputError
+from petscjam.base.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
 
-def save(
-    figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] | None = None, dpi: float = 150
-) -> None:
+def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] | None = None, dpi: float = 150) -> None:
     """Write ``figure`` in the format its name ends in (PNG without one), wholly or not at all.
 
     Below it stands how many of ``results`` are of packings that are not in balance.
@@ -39,9 +37,7 @@ def save(
     forces = [r.packing["net_force"] for r in (results or {}).values() if r.packing.get("balanced") is False]
     if forces:
         count = f"{len(forces)} of {len(results)} results: " if results and len(results) > 1 else ""
-        figure.supxlabel(
-            f"{count}not in balance: net forces on disks reach {max(forces):.2g} p·d", color=UNSTABLE
-        )
+        figure.supxlabel(f"{count}not in balance: net forces on disks reach {max(forces):.2g} p·d", color=UNSTABLE)
     picture = BytesIO()
     figure.savefig(picture, dpi=dpi, format=kind)
     write_atomically(path, picture.getvalue())

@@ -14,22 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.geometry.potential import potential
 from petscjam.plots.figure import UNSTABLE, save
-from petscjam.potential import potential
 
-COLUMNS = (
-    "particles",
-    "pressure",
-    "target",
-    "phi",
-    "Z",
-    "rattlers",
-    "contacts",
-    "lowest_eigenvalue",
-    "proved",
-)
+COLUMNS = ("particles", "pressure", "target", "phi", "Z", "rattlers", "contacts", "lowest_eigenvalue", "proved")
 MARKERS = "osD^vP*X"
 # Where Z − Z_iso is fitted, with a of plot_library: where p^a·N² is above the one, N no longer matters; where
 # p^a is below the other (p in k), p does not yet.
@@ -77,12 +67,7 @@ def fit_power(x: ArrayLike, y: ArrayLike, error: ArrayLike | None = None) -> Pow
 
 
 def fit_phi_J(
-    p: ArrayLike,
-    phi: ArrayLike,
-    error: ArrayLike | None = None,
-    *,
-    exponent: float = 1.0,
-    decades: float = 1.5,
+    p: ArrayLike, phi: ArrayLike, error: ArrayLike | None = None, *, exponent: float = 1.0, decades: float = 1.5
 ) -> JammingDensity:
     """Fit φ = φJ + c·p^a with a given a, over the lowest ``decades`` of the pressures.
 
@@ -222,8 +207,7 @@ def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
     if not jammed:
         raise InputError("library: no packing is jammed")
     table = {
-        name: np.array([np.nan if row[name] is None else row[name] for row in jammed], dtype=float)
-        for name in COLUMNS
+        name: np.array([np.nan if row[name] is None else row[name] for row in jammed], dtype=float) for name in COLUMNS
     }
     n, p, target = table["particles"], table["pressure"], table["target"]
     target = np.where(target > 0, target, [float(f"{x:.1e}") for x in p])
@@ -231,10 +215,7 @@ def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
     backbone[backbone == 0] = np.nan
     excess = 2 * (table["contacts"] - (2 * backbone - 1)) / backbone
     columns = (target, p, table["phi"], excess, table["lowest_eigenvalue"], table["proved"] != 0)
-    return [
-        _Size(int(m), MARKERS[s % len(MARKERS)], *(c[n == m] for c in columns))
-        for s, m in enumerate(np.unique(n))
-    ]
+    return [_Size(int(m), MARKERS[s % len(MARKERS)], *(c[n == m] for c in columns)) for s, m in enumerate(np.unique(n))]
 
 
 def _is_jammed(row: Mapping[str, Any]) -> bool:
@@ -276,9 +257,15 @@ def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> No
     if len(np.unique(p)) > 1:
         fit = fit_power(p, mean, error)
         span = np.array([p.min(), p.max()])
-        axes.plot(span, fit.prefactor * span**fit.exponent, color="0.15", lw=1, zorder=3,
-                  label=f"slope {_pm(fit.exponent, fit.exponent_error)}\n"
-                        rf"(${_power(a)}N^2 > {BULK:g}$, ${_power(a)} \leq 0.01$)")  # fmt: skip
+        axes.plot(
+            span,
+            fit.prefactor * span**fit.exponent,
+            color="0.15",
+            lw=1,
+            zorder=3,
+            label=f"slope {_pm(fit.exponent, fit.exponent_error)}\n"
+            rf"(${_power(a)}N^2 > {BULK:g}$, ${_power(a)} \leq 0.01$)",
+        )
         top = fit.prefactor * span[1] ** fit.exponent / 3
         _guide(axes, lambda x: top * (x / span[1]) ** (a / 2), f"slope {_fraction(a / 2)}")
     axes.legend(loc="upper left", frameon=False, fontsize=9)
@@ -310,9 +297,7 @@ def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> N
         _guide(axes, lambda p: slope * p**a / 5, f"slope {_fraction(a)}")
     axes.plot([], [], color="0.15", lw=1, label=rf"fits, $\propto {_power(a)}$")
     for size in without:
-        axes.plot(
-            [], [], " ", label=rf"N = {size.particles} not drawn: fewer than two pressures, no $\phi_J$"
-        )
+        axes.plot([], [], " ", label=rf"N = {size.particles} not drawn: fewer than two pressures, no $\phi_J$")
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 
@@ -335,8 +320,7 @@ def _draw_curves(
         axes.scatter(size.p[unsound], values[unsound], s=22, marker="x", lw=1, zorder=5, color=UNSTABLE)
         (p, _), (mean, error) = size.mean(size.p), size.mean(values)
         for m in np.flatnonzero((mean > 0) | (not log)):
-            axes.errorbar(p[m], mean[m], np.nan_to_num(error[m]), fmt=size.marker,
-                          color=colour(size.targets[m]), **bar)  # fmt: skip
+            axes.errorbar(p[m], mean[m], np.nan_to_num(error[m]), fmt=size.marker, color=colour(size.targets[m]), **bar)
         axes.plot([], [], size.marker, color="0.7", mec="0.15", mew=0.6, label=label)
     if any((~size.sound).any() for size, _, _ in curves):
         axes.plot([], [], "x", color=UNSTABLE, label="not proved")
@@ -362,15 +346,19 @@ def _draw_lowest(panels: Sequence[Any], sizes: Sequence[_Size], colour: Any) -> 
     values = np.concatenate([size.eigenvalue[size.sound] for size in sizes])
     values = np.sqrt(values[values > 0]) if (values > 0).any() else np.ones(1)
     for axes, size in zip(panels, sizes, strict=True):
-        axes.set(xscale="log", xlim=(values.min() / 1.3, values.max() * 1.3), ylim=(-0.04, 1.04),
-                 yticks=(0, 0.5, 1))  # fmt: skip
+        axes.set(xscale="log", xlim=(values.min() / 1.3, values.max() * 1.3), ylim=(-0.04, 1.04), yticks=(0, 0.5, 1))
         known = np.isfinite(size.eigenvalue)
         for target in size.targets:
             some = size.sound & known & (size.target == target)
             omega = np.sort(np.sqrt(size.eigenvalue[some & (size.eigenvalue > 0)]))
             if len(omega):
-                axes.step(np.append(omega[0], omega), np.linspace(0, 1, len(omega) + 1), where="post",
-                          color=colour(target), lw=1.3)  # fmt: skip
+                axes.step(
+                    np.append(omega[0], omega),
+                    np.linspace(0, 1, len(omega) + 1),
+                    where="post",
+                    color=colour(target),
+                    lw=1.3,
+                )
                 axes.plot(np.median(omega), 0.5, size.marker, color=colour(target), mec="0.15", mew=0.6, ms=6)
         title = f"N = {size.particles}"
         for count, text in (
@@ -388,8 +376,9 @@ def _guide(axes: Any, law: Callable[[Array], Array], text: str) -> None:
     p = np.exp(np.array([0.5 * (low + high), 0.1 * low + 0.9 * high]))
     axes.plot(p, law(p), color="0.5", lw=1, ls="--", zorder=1)
     middle = np.sqrt(p[:1] * p[1:])
-    axes.annotate(text, (middle[0], law(middle)[0]), (6, -2), textcoords="offset points", color="0.4",
-                  fontsize=9, va="top")  # fmt: skip
+    axes.annotate(
+        text, (middle[0], law(middle)[0]), (6, -2), textcoords="offset points", color="0.4", fontsize=9, va="top"
+    )
 
 
 def _fraction(value: float) -> str:

@@ -59,9 +59,7 @@ def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLik
     halves: Any = figure.subfigures(1, 2, width_ratios=[1.75, 1.2])
     left, right = halves
     first = next(iter(results.values()))
-    titles = [
-        f"τ = {tau:.3g} τ₁, weight {g:.1e} k" for tau, g in zip(first.times, first.weights, strict=True)
-    ]
+    titles = [f"τ = {tau:.3g} τ₁, weight {g:.1e} k" for tau, g in zip(first.times, first.weights, strict=True)]
     _draw_vectors(left, first, titles)
     left.suptitle(f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}, {first.damping}")
     axes = right.subplots()
@@ -83,8 +81,7 @@ def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]
     for v, title, axes in zip(m.vectors, titles, panels.flat, strict=False):
         length = np.hypot(*v.T)
         arrows = v * spacing * min(1.6 / np.sqrt(np.mean(length**2)), 5 / length.max())
-        axes.quiver(*x.T, *arrows.T, angles="xy", scale_units="xy", scale=1, width=0.0035,
-                    color=STORAGE)  # fmt: skip
+        axes.quiver(*x.T, *arrows.T, angles="xy", scale_units="xy", scale=1, width=0.0035, color=STORAGE)
         axes.plot(*outline.T, color="0.6", lw=0.8)
         axes.set_aspect("equal")
         axes.set_title(title, fontsize=9)
@@ -100,8 +97,10 @@ def _draw_spectra(panels: Any, results: Mapping[str, Modes]) -> None:
         stable = m.eigenvalues >= 0
         style = {"color": colour, "ms": 4 if few else 2.5, "alpha": 0.9 if few else 0.6}
         for axes, across, up in (
-            (panels[0], index, omega), (panels[1], omega, m.participation), (panels[2], omega, m.floppiness)
-        ):  # fmt: skip
+            (panels[0], index, omega),
+            (panels[1], omega, m.participation),
+            (panels[2], omega, m.floppiness),
+        ):
             axes.plot(across[stable], up[stable], "o", mew=0, label=name, **style)
             axes.plot(across[~stable], up[~stable], "x", **{**style, "color": UNSTABLE})
     frequency = r"frequency $\sqrt{\lambda}$"

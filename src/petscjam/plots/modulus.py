@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.ensemble import average
-from petscjam.errors import SolverError
-from petscjam.kinematics import strain_mode
+from petscjam.base.errors import SolverError
+from petscjam.io.jobs import average
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
+from petscjam.rows.kinematics import strain_mode
 
 
 def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]) -> None:
@@ -54,8 +54,14 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
         rising = np.argsort(g.omega)
         omega, G = g.omega[rising], g.values[rising]
         for values, colour, marker in ((G.real, STORAGE, "o"), (G.imag, LOSS, "s")):
-            line = axes.loglog(omega, np.where(values > 0, values, np.nan), color=colour, lw=1,
-                               alpha=1 if one else 0.35, ls="-" if g.stable else ":")[0]  # fmt: skip
+            line = axes.loglog(
+                omega,
+                np.where(values > 0, values, np.nan),
+                color=colour,
+                lw=1,
+                alpha=1 if one else 0.35,
+                ls="-" if g.stable else ":",
+            )[0]
             if one:
                 line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
             axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
@@ -64,17 +70,23 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     low, high = first.omega.min(), first.omega.max()
     if one:
         ends = (
-            (first.G0, 0, low, STORAGE, r"$G_0$"), (first.eta0, 1, low, LOSS, r"$\eta_0\omega$"),
+            (first.G0, 0, low, STORAGE, r"$G_0$"),
+            (first.eta0, 1, low, LOSS, r"$\eta_0\omega$"),
             (first.G_inf, 0, high, STORAGE, r"$G_\infty$"),
             (first.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$"),
-        )  # fmt: skip
+        )
         for limit, slope, end, colour, text in ends:
             if limit > 0:
                 span = np.array([end, end * (1e3 if end == low else 1e-2)])
                 axes.loglog(span, limit * span**slope, "--", color=colour, lw=0.9, zorder=0)
-                axes.annotate(text, (span[0], limit * span[0] ** slope), color=colour,
-                              xytext=(12, -3) if text == ends[1][4] else (0, 7),
-                              textcoords="offset points", ha="left" if end == low else "right")  # fmt: skip
+                axes.annotate(
+                    text,
+                    (span[0], limit * span[0] ** slope),
+                    color=colour,
+                    xytext=(12, -3) if text == ends[1][4] else (0, 7),
+                    textcoords="offset points",
+                    ha="left" if end == low else "right",
+                )
     _guides(axes, first)
     bad = [g for g in results.values() if not g.stable]
     axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=r"$G',\;G''$  (units of $k$)")
@@ -114,9 +126,7 @@ def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
         for part, colour in parts:
             centre, error = part(mean.mean)[rising], part(mean.error)[rising]
             axes.loglog(mean.omega[rising], centre, color=colour, lw=1.8)
-            axes.fill_between(
-                mean.omega[rising], centre - error, centre + error, color=colour, alpha=0.25, lw=0
-            )
+            axes.fill_between(mean.omega[rising], centre - error, centre + error, color=colour, alpha=0.25, lw=0)
 
 
 def _draw_errors(axes: Any, model: Spectrum) -> None:
@@ -127,8 +137,15 @@ def _draw_errors(axes: Any, model: Spectrum) -> None:
     axes.loglog(omega, loss, color=LOSS, lw=0.8, label="$G''$")
     axes.loglog(omega, model.error(omega), color="0.2", lw=1.2, label="$|G^*|$")
     axes.axhline(model.rtol, color="0.5", ls="--", lw=0.8)
-    axes.plot(model.nodes, np.full(len(model.nodes), 0.03), "|", color="0.2", ms=9, clip_on=False,
-              transform=axes.get_xaxis_transform())  # fmt: skip
+    axes.plot(
+        model.nodes,
+        np.full(len(model.nodes), 0.03),
+        "|",
+        color="0.2",
+        ms=9,
+        clip_on=False,
+        transform=axes.get_xaxis_transform(),
+    )
     what = "bound" if model.definite else "estimate"
     axes.set(xlabel=r"$\omega\tau_1$", ylabel=f"{what} on relative error")
     axes.set_title(f"{model.factorisations} factorisations (ticks)", fontsize=9)
@@ -160,8 +177,14 @@ def _guides(axes: Any, g: ComplexModulus) -> None:
         if inside and len(g.omega) > 2:
             guide = 0.35 * np.exp(height) * (span / span[0]) ** slope
             axes.loglog(span, guide, color="0.4", lw=1)
-            axes.annotate("slope 1" if slope == 1 else "slope ½", (span[1], guide[1]), color="0.4",
-                          xytext=(4, -8), textcoords="offset points", fontsize=9)  # fmt: skip
+            axes.annotate(
+                "slope 1" if slope == 1 else "slope ½",
+                (span[1], guide[1]),
+                color="0.4",
+                xytext=(4, -8),
+                textcoords="offset points",
+                fontsize=9,
+            )
 
 
 def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
@@ -188,8 +211,15 @@ def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
             motion = motion - np.nanmean(motion, axis=0)
             size = np.sqrt(np.nanmean((motion**2).sum(1)))
             arrows = motion[shown] * 1.6 * spacing / size
-            axes.quiver(*x[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=1,
-                        width=0.0035, color=STORAGE if row else LOSS)  # fmt: skip
+            axes.quiver(
+                *x[shown].T,
+                *arrows.T,
+                angles="xy",
+                scale_units="xy",
+                scale=1,
+                width=0.0035,
+                color=STORAGE if row else LOSS,
+            )
             axes.plot(*outline.T, color="0.6", lw=0.8)
             axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)
             axes.set(aspect="equal", xticks=[], yticks=[])

@@ -63,8 +63,14 @@ def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str
             continue
         density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
         middle = (edges[1:] + edges[:-1]) / 2
-        axes.semilogx(10**middle, density, color=colours(pressure), ls="-" if prestress else "--", lw=1.2,
-                      label=f"p = {pressure:.2g}")  # fmt: skip
+        axes.semilogx(
+            10**middle,
+            density,
+            color=colours(pressure),
+            ls="-" if prestress else "--",
+            lw=1.2,
+            label=f"p = {pressure:.2g}",
+        )
     axes.set(xlabel=LABELS[motion], ylabel=r"density of $\log_{10}$")
     if len(handles := dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))) <= 8:
         axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
@@ -79,15 +85,19 @@ def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
             medians = [[np.median(r.sizes(motion)) for r in group] for group in some.values()]
             if not medians:
                 continue
-            axes.errorbar(list(some), *errors(medians), fmt=marker, color=colour,
-                          mfc=colour if prestress else "white", ms=6,
-                          label=f"median {LABELS[motion]}, {given(prestress)}")  # fmt: skip
+            axes.errorbar(
+                list(some),
+                *errors(medians),
+                fmt=marker,
+                color=colour,
+                mfc=colour if prestress else "white",
+                ms=6,
+                label=f"median {LABELS[motion]}, {given(prestress)}",
+            )
             means = [np.mean([r.sizes(motion).mean() for r in group]) for group in some.values()]
             axes.plot(list(some), means, ":" if prestress else "-.", color=colour, lw=1)
     axes.plot([], [], "k:", lw=1, label="means (dash-dotted: without pre-stress)")
-    axes.set(
-        xscale="log", yscale="log", xlabel="pressure $p$ (units of $k$)", ylabel="motion per unit strain"
-    )
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$ (units of $k$)", ylabel="motion per unit strain")
     axes.legend(frameon=False, fontsize=8)
 
 
@@ -97,8 +107,15 @@ def draw_field(axes: Any, r: QuasistaticResponse) -> None:
     x = box.wrap(r.geometry.positions)[r.disks]
     spacing = np.sqrt(box.area / len(r.geometry))
     size = np.sqrt((r.nonaffine**2).sum(1).mean()) or 1.0
-    axes.quiver(*x.T, *(r.nonaffine * 1.6 * spacing / size).T, angles="xy", scale_units="xy", scale=1,
-                width=0.0035, color=STORAGE)  # fmt: skip
+    axes.quiver(
+        *x.T,
+        *(r.nonaffine * 1.6 * spacing / size).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.0035,
+        color=STORAGE,
+    )
     outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ box.cell
     axes.plot(*outline.T, color="0.6", lw=0.8)
     axes.set(aspect="equal", xticks=[], yticks=[])

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array, Box, Integers
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, save
 
 SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
@@ -21,11 +22,7 @@ RATTLER, CAGED = "#7a5c00", "#fbeeb8"
 OUTLINED = 20_000  # disks; more are drawn without outlines, and as pixels in vector formats
 FORCE_WIDTH = 0.11  # mean diameters, of a line that stands for the mean contact force
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-VERDICTS = {
-    None: ("not judged", "0.45"),
-    True: ("proved minimum", STABLE),
-    False: ("not proved", UNSTABLE),
-}
+VERDICTS = {None: ("not judged", "0.45"), True: ("proved minimum", STABLE), False: ("not proved", UNSTABLE)}
 
 
 def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
@@ -89,13 +86,19 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
         width = 2 * radii[disk[some]]
         draw(
             EllipseCollection(
-                width, width, np.zeros(len(width)), units="xy", offsets=centre[some],
-                offset_transform=axes.transData, facecolors=face[disk[some]],
+                width,
+                width,
+                np.zeros(len(width)),
+                units="xy",
+                offsets=centre[some],
+                offset_transform=axes.transData,
+                facecolors=face[disk[some]],
                 edgecolors="none" if many else RATTLER if rattlers else RIM,
                 linewidths=0 if many else thin * (1.4 if rattlers else 1),
-                linestyles=(0, (3, 2)) if rattlers else "solid", zorder=1 + rattlers,
+                linestyles=(0, (3, 2)) if rattlers else "solid",
+                zorder=1 + rattlers,
             )
-        )  # fmt: skip
+        )
     if len(network):
         start = packing.positions[network.i]
         contact, middle = _images(box, start + network.r / 2, 1.5 * radii.max())  # lines are wide
@@ -104,10 +107,9 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
         ends: Any = np.stack([middle - half, middle + half], axis=1)
         draw(
             LineCollection(
-                ends, colors=FORCE, capstyle="round",
-                linewidths=FORCE_WIDTH * pixels * strength[contact], zorder=3,
+                ends, colors=FORCE, capstyle="round", linewidths=FORCE_WIDTH * pixels * strength[contact], zorder=3
             )
-        )  # fmt: skip
+        )
     margin = 0.01 * extent
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set(aspect="equal", xticks=[], yticks=[])
@@ -119,10 +121,19 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     axes.set_title(
         f"{len(packing)} disks, $\\phi$ = {packing.phi:.5f}, p = {network.pressure:.3g}, "
         f"Z = {network.Z:.3f}, {count} rattler{'' if count == 1 else 's'}",
-        fontsize=size + 4, pad=2 * (size + 4),
-    )  # fmt: skip
-    axes.annotate(verdict, (0.5, 1), (0, 5), xycoords="axes fraction", textcoords="offset points",
-                  ha="center", color=colour, fontsize=size + 4)  # fmt: skip
+        fontsize=size + 4,
+        pad=2 * (size + 4),
+    )
+    axes.annotate(
+        verdict,
+        (0.5, 1),
+        (0, 5),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="center",
+        color=colour,
+        fontsize=size + 4,
+    )
 
 
 def _images(box: Box, points: Array, reach: float) -> tuple[Integers, Array]:
@@ -171,8 +182,16 @@ def _draw_history(figure: Any, history: Mapping[str, Array], target: float | Non
         axes.spines[["top", "right"]].set_visible(False)
     if target is not None:
         panels[0].axhline(target, color="0.3", lw=0.9, ls="--", zorder=0)
-        panels[0].annotate(f"target {target:.3g}", (1, target), (0, 4), ha="right", color="0.3", fontsize=9,
-                           xycoords=("axes fraction", "data"), textcoords="offset points")  # fmt: skip
+        panels[0].annotate(
+            f"target {target:.3g}",
+            (1, target),
+            (0, 4),
+            ha="right",
+            color="0.3",
+            fontsize=9,
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+        )
     panels[0].set_title("Preparation", fontsize=10)
     panels[2].set_xlabel("force evaluations")
     panels[2].ticklabel_format(axis="y", useOffset=False)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
 from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
@@ -20,10 +20,16 @@ GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
 DEFAULT = "harmonic-relative"  # VOT's: not told
 VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
 MEANS = (
-    ("P", "pressure"), ("Σ", "stress"), ("P elastic", "pressure_elastic"), ("Σ elastic", "stress_elastic"),
-    ("μ", "friction"), ("Z", "contacts"), ("ηp", "pressure_viscosity"), ("Bp", "pressure_bagnold"),
+    ("P", "pressure"),
+    ("Σ", "stress"),
+    ("P elastic", "pressure_elastic"),
+    ("Σ elastic", "stress_elastic"),
+    ("μ", "friction"),
+    ("Z", "contacts"),
+    ("ηp", "pressure_viscosity"),
+    ("Bp", "pressure_bagnold"),
     ("Rv", "banding"),
-)  # fmt: skip
+)
 
 
 def _number(value: float) -> str:
@@ -97,8 +103,15 @@ def _draw_series(panels: Any, run: Run) -> None:
             some = some if to_and_fro else np.where(some > 0, some, np.nan)
             stresses.plot(x, some, style, color=colour, lw=1.1, label=text)
     stresses.set(ylabel=r"stress  ($m/\tau_e^2$)", yscale="linear" if to_and_fro else "log")
-    stresses.legend(frameon=False, fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1),
-                    columnspacing=1, handlelength=1.5)  # fmt: skip
+    stresses.legend(
+        frameon=False,
+        fontsize=8,
+        ncols=4,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1),
+        columnspacing=1,
+        handlelength=1.5,
+    )
     contacts.plot(x, run.contacts, color=STABLE, lw=1.1)
     contacts.set(ylabel="contacts of a disk  $Z$", ylim=(0, 1.1 * max(run.contacts.max(), 1e-3)))
     friction.plot(x, run.friction, color=GREY, lw=1.1)
@@ -137,8 +150,15 @@ def _draw_profiles(panels: Any, run: Run) -> None:
         for edge in edges:
             axes.axvline(edge, color="0.6", ls=":", lw=1)
     for rate, middle in zip(b.rates, b.centres, strict=True):
-        panels[1].annotate(_number(float(f"{rate:.2g}")), (middle, rate), (0, 14), textcoords="offset points",
-                           ha="center", fontsize=9, bbox={"fc": "white", "ec": "none", "pad": 1})  # fmt: skip
+        panels[1].annotate(
+            _number(float(f"{rate:.2g}")),
+            (middle, rate),
+            (0, 14),
+            textcoords="offset points",
+            ha="center",
+            fontsize=9,
+            bbox={"fc": "white", "ec": "none", "pad": 1},
+        )
 
 
 def _two_bands(run: Run) -> Bands | None:
@@ -157,11 +177,17 @@ def _draw_angles(axes: Any, run: Run) -> None:
     edges = np.linspace(-180, 180, len(made) + 1)
     density = 1 / max((made + broken).sum() * (edges[1] - edges[0]), 1)
     axes.stairs(made * density, edges, fill=True, color=STORAGE, alpha=0.35, label="made")
-    axes.stairs((made + broken) * density, edges, baseline=made * density, fill=True, color=LOSS, alpha=0.35,
-                label="broken")  # fmt: skip
+    axes.stairs(
+        (made + broken) * density, edges, baseline=made * density, fill=True, color=LOSS, alpha=0.35, label="broken"
+    )
     axes.stairs((made + broken) * density, edges, color=GREY, lw=0.8)
-    axes.set(xlabel=r"collision angle $\vartheta$ (degrees)", ylabel=r"$\mathcal{P}(\vartheta)$  (1/degree)",
-             xlim=(-180, 180), xticks=np.arange(-180, 181, 90), ylim=(0, None))  # fmt: skip
+    axes.set(
+        xlabel=r"collision angle $\vartheta$ (degrees)",
+        ylabel=r"$\mathcal{P}(\vartheta)$  (1/degree)",
+        xlim=(-180, 180),
+        xticks=np.arange(-180, 181, 90),
+        ylim=(0, None),
+    )
     axes.legend(frameon=False, fontsize=8)
 
 
@@ -210,9 +236,7 @@ def _draw_means(axes: Any, run: Run) -> None:
         for rate, share, middle in zip(b.rates, b.shares, b.centres, strict=True):
             lines.append(f"rate {rate:.3g} on {100 * share:.0f} % at y = {middle:.1f}")
         lines.append(f"rms of vx: {b.two:.2g} (one slope {b.one:.2g})")
-    axes.text(
-        0.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", family="monospace", fontsize=9
-    )
+    axes.text(0.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", family="monospace", fontsize=9)
 
 
 # --- maps ---------------------------------------------------------------------------------------------
@@ -256,9 +280,17 @@ def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any,
 
     many, width = len(state) > OUTLINED, 2 * state.radii[disk]
     drawn = EllipseCollection(
-        width, width, np.zeros(len(width)), units="xy", offsets=centre, offset_transform=axes.transData,
-        array=values[disk], cmap=colours, linewidths=0, edgecolors="none",
-    )  # fmt: skip
+        width,
+        width,
+        np.zeros(len(width)),
+        units="xy",
+        offsets=centre,
+        offset_transform=axes.transData,
+        array=values[disk],
+        cmap=colours,
+        linewidths=0,
+        edgecolors="none",
+    )
     known = values[np.isfinite(values)]
     if len(known):
         drawn.set_clim(*np.quantile(known, [0.01, 0.99]))
@@ -325,9 +357,16 @@ def _draw_slopes(axes: Any, rate: Array, values: Array) -> None:
         if np.isfinite(guide).all():
             axes.plot(ends, guide, "--", color="0.4", lw=1)
             middle = np.sqrt(ends.prod()), np.sqrt(guide.prod())
-            axes.annotate(f"slope {slope}", middle, (-6 * side, 6 * side), color="0.4", fontsize=9,
-                          textcoords="offset points", ha="right" if side > 0 else "left",
-                          va="bottom" if side > 0 else "top")  # fmt: skip
+            axes.annotate(
+                f"slope {slope}",
+                middle,
+                (-6 * side, 6 * side),
+                color="0.4",
+                fontsize=9,
+                textcoords="offset points",
+                ha="right" if side > 0 else "left",
+                va="bottom" if side > 0 else "top",
+            )
 
 
 # --- flow curves --------------------------------------------------------------------------------------
@@ -335,16 +374,18 @@ def _draw_slopes(axes: Any, rate: Array, values: Array) -> None:
 AXES = {"rate": (r"\dot\gamma\tau_e", "log"), "Q": ("Q", "log"), "phi": (r"\phi", "linear")}
 CURVES: tuple[tuple[str, str, Callable[[Run], Any]], ...] = (
     (r"$P^\mathrm{el}$  ($m/\tau_e^2$)", "log", lambda run: run.pressure_elastic),
-    (r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$", "log",
-     lambda run: run.settings["Q"] * run.pressure_elastic / run.rate),
-    (r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$", "log",
-     lambda run: run.pressure_elastic / run.rate**2),
+    (
+        r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$",
+        "log",
+        lambda run: run.settings["Q"] * run.pressure_elastic / run.rate,
+    ),
+    (r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$", "log", lambda run: run.pressure_elastic / run.rate**2),
     (r"$R_v = \langle\delta v_x^2\rangle/\langle v_y^2\rangle$", "log", lambda run: run.banding),
     ("contacts of a disk  $Z$", "log", lambda run: run.contacts),
     (r"$\mu = \Sigma/P$", "linear", lambda run: run.friction),
     (r"$\langle\dot\theta/\dot\gamma\rangle$", "linear", lambda run: run.rows["spin"] / run.rate),
     (r"var$[\dot\theta/\dot\gamma]$", "log", lambda run: run.rows["spin_variance"] / run.rate**2),
-)  # fmt: skip
+)
 
 
 def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
@@ -390,9 +431,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
         y = np.concatenate([bars[0].get_ydata() for bars in axes.containers])
         if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # ticks are poor on less than that
             axes.set_yscale("log", nonpositive="mask")
-    same = [
-        _parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ and kind[k] != DEFAULT
-    ]
+    same = [_parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ and kind[k] != DEFAULT]
     figure.suptitle(", ".join(same), fontsize=12)
     doubtful = {name: run.warnings for name, run in runs.items() if run.warnings}
     shown_of = [f"{name}: {text}" for name, some in doubtful.items() for text in some]

@@ -30,9 +30,15 @@ def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) 
         curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
     for (law, n, prestress), curve in sorted(curves.items()):
         p = np.array(sorted(curve))
-        axes.errorbar(p, *errors([curve[x] for x in p]), fmt="o-" if prestress else "s--",
-                      mfc=None if prestress else "white", ms=5, lw=1,
-                      label=f"{law}, N = {n}, {given(prestress)}")  # fmt: skip
+        axes.errorbar(
+            p,
+            *errors([curve[x] for x in p]),
+            fmt="o-" if prestress else "s--",
+            mfc=None if prestress else "white",
+            ms=5,
+            lw=1,
+            label=f"{law}, N = {n}, {given(prestress)}",
+        )
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
     axes.set_title(title, fontsize=10)
     axes.legend(frameon=False, fontsize=8)

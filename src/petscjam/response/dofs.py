@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Integers
-from petscjam.kinematics import Field, Form
-from petscjam.network import ContactNetwork
-from petscjam.packing.packing import Packing
+from petscjam.base.types import Integers
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import total
+from petscjam.rows.kinematics import Field, Form
 
 Mask = NDArray[np.bool_]
 

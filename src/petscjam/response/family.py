@@ -15,22 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.damping import ContactDamping, viscous_form
-from petscjam.errors import InputError
-from petscjam.kinematics import strain_mode
-from petscjam.network import rounded
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.network import rounded
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import direct_solver
-from petscjam.progress import Report
 from petscjam.response.limits import limit_or_note, zero_frequency
 from petscjam.response.matrices import assembled
 from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum, relaxed
+from petscjam.rows.damping import ContactDamping, viscous_form
+from petscjam.rows.kinematics import strain_mode
 
 PER_DECADE = 4, 4  # points of the grid in ω and β
 MOST_NODES = 80
@@ -84,9 +84,11 @@ class Family:
             raise InputError(f"beta = {beta:g} is outside the range of the family, {low:g} to {high:g}")
         mixed = (1 - beta) * self.affine[0] + beta * self.affine[1]
         model = replace(
-            self.base, B=(1 - beta) * self.B0 + beta * self.B1, affine=(self.base.affine[0], mixed),
+            self.base,
+            B=(1 - beta) * self.B0 + beta * self.B1,
+            affine=(self.base.affine[0], mixed),
             damping=ContactDamping(beta, self.rotations),
-        )  # fmt: skip
+        )
         limits, limit_errors = model.own_limits()
         far = ~(limit_errors.max(1) < PLATEAU)
         limits[far], limit_errors[far] = np.nan, np.nan
@@ -143,15 +145,11 @@ def beta_family(
         if low == high:
             raise InputError(f"{what}: must be 0 < low < high, not {low:g} twice")
     if betas[1] > LARGEST_BETA:
-        raise InputError(
-            f"betas: at most {LARGEST_BETA:g}, not {betas[1]:g}; make a spectrum for each beyond"
-        )
+        raise InputError(f"betas: at most {LARGEST_BETA:g}, not {betas[1]:g}; make a spectrum for each beyond")
     checked_rtol(rtol, 1e-10)
     mode = strain_mode(strain)
     problem = LinearProblem(packing, ContactDamping(1.0, rotations), [mode], prestress, comm)
-    normal = viscous_form(
-        problem.network, problem.ownership.owner == comm.rank, [mode], ContactDamping(0.0, rotations)
-    )
+    normal = viscous_form(problem.network, problem.ownership.owner == comm.rank, [mode], ContactDamping(0.0, rotations))
     rigid = (np.zeros((len(packing), 3), dtype=complex), np.ones(1))
     affine = problem.product(normal, rigid, rigid).real, problem.affine[1]
     dofs = problem.number(problem.active)
@@ -168,29 +166,59 @@ def beta_family(
         fields = motions.displacements() if displacements else None
         K, B1, B0 = motions.reduced
         performance = {
-            "factorisations": len(nodes), "ranks": comm.size, "unknowns": dofs.size,
-            "mumps_MB": solver.memory, "flops": solver.flops, "residual": motions.residual,
+            "factorisations": len(nodes),
+            "ranks": comm.size,
+            "unknowns": dofs.size,
+            "mumps_MB": solver.memory,
+            "flops": solver.flops,
+            "residual": motions.residual,
             "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
             "seconds": comm.bcast(time.perf_counter() - start),
-        }  # fmt: skip
+        }
     if not estimate <= rtol:
         problem.notes.append(f"rtol = {rtol:g} is not met: the estimate is {estimate:.1e}")
     base = Spectrum(
-        span=(float(span[0]), float(span[1])), rtol=rtol, K=K, B=B1, residual_K=np.zeros(len(K)),
-        residual_B=np.zeros(len(K)), nodes=nodes[:, 0], gains=np.zeros(len(nodes), dtype=complex),
-        gain_errors=np.zeros(len(nodes)), estimate=estimate, limits=np.full((2, 2), np.nan),
-        limit_errors=np.full((2, 2), np.nan), forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
-        affine=problem.affine, area=packing.box.area, pressure=problem.pressure, definite=False,
-        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain,
-        damping=ContactDamping(1.0, rotations), prestress=prestress,
-        packing=describe(problem, name), notes=tuple(problem.notes),
-        performance=performance, motions=fields, geometry=packing if displacements else None,
-    )  # fmt: skip
+        span=(float(span[0]), float(span[1])),
+        rtol=rtol,
+        K=K,
+        B=B1,
+        residual_K=np.zeros(len(K)),
+        residual_B=np.zeros(len(K)),
+        nodes=nodes[:, 0],
+        gains=np.zeros(len(nodes), dtype=complex),
+        gain_errors=np.zeros(len(nodes)),
+        estimate=estimate,
+        limits=np.full((2, 2), np.nan),
+        limit_errors=np.full((2, 2), np.nan),
+        forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
+        affine=problem.affine,
+        area=packing.box.area,
+        pressure=problem.pressure,
+        definite=False,
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
+        strain=strain,
+        damping=ContactDamping(1.0, rotations),
+        prestress=prestress,
+        packing=describe(problem, name),
+        notes=tuple(problem.notes),
+        performance=performance,
+        motions=fields,
+        geometry=packing if displacements else None,
+    )
     low, high = betas
     family = Family(
-        (float(low), float(high)), len(nodes), estimate, base, B0, B1, affine, rotations, (np.nan, np.nan),
+        (float(low), float(high)),
+        len(nodes),
+        estimate,
+        base,
+        B0,
+        B1,
+        affine,
+        rotations,
+        (np.nan, np.nan),
         problem.rounding,
-    )  # fmt: skip
+    )
     if comm.bcast(any(np.isnan(family(beta).G0) for beta in betas)):
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0")
         family = replace(family, G0=(found.G, found.residual))

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.errors import SolverError
-from petscjam.kinematics import Field, Motion
-from petscjam.network import rounded
+from petscjam.base.errors import SolverError
+from petscjam.geometry.network import rounded
 from petscjam.parallel.comm import total
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import free_motions, sees
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.kinematics import Field, Motion
 
 LARGEST_RESIDUAL = 1e-8
 SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
@@ -151,9 +151,7 @@ def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tu
     return done, worst
 
 
-def _minimise(
-    problem: LinearProblem, follow: NDArray, starts: list[Motion], soft: float
-) -> tuple[list[Motion], float]:
+def _minimise(problem: LinearProblem, follow: NDArray, starts: list[Motion], soft: float) -> tuple[list[Motion], float]:
     """Minimise K + ``soft``·B over the degrees of freedom ``follow``."""
     dofs = problem.number(follow)
     done, worst = [], 0.0

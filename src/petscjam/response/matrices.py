@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from petscjam.kinematics import Form
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, stage
 from petscjam.response.dofs import Dofs
+from petscjam.rows.kinematics import Form
 
 ROUNDING = 1e-14  # what is left of entries that cancel, of the largest one
 
@@ -99,9 +99,7 @@ def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Any) -> Pencil:
     both = (K + 1j * B).tocsr()  # K and B are real: as K + iB they share one pattern
     both.sort_indices()
     values = [both.data.real, both.data.imag, *(_on_pattern(rows, both) for rows, _ in further)]
-    *matrices, A = (
-        symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm) for part in (*values, both.data)
-    )
+    *matrices, A = (symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm) for part in (*values, both.data))
     return Pencil(dofs, forms, tuple(matrices), A, (k, b, *(pull for _, pull in further)), A.createVecs())
 
 
@@ -109,8 +107,7 @@ def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray:
     """Return the values of ``rows`` at the entries of ``pattern``, which has all of theirs."""
     width = rows.shape[1]
     places, wanted = (
-        np.repeat(np.arange(part.shape[0]) * width, np.diff(part.indptr)) + part.indices
-        for part in (rows, pattern)
+        np.repeat(np.arange(part.shape[0]) * width, np.diff(part.indptr)) + part.indices for part in (rows, pattern)
     )
     here = np.searchsorted(wanted, places).clip(max=max(len(wanted) - 1, 0))
     kept = wanted[here] == places if len(wanted) else np.zeros(len(places), dtype=bool)

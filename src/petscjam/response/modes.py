@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
-from petscjam.box import Array, Integers
-from petscjam.damping import ContactDamping
-from petscjam.errors import InputError
-from petscjam.kinematics import contact_rows, strain_mode
-from petscjam.network import ContactNetwork
-from petscjam.packing.certify import EPS, below_all, hessian, pivots_below
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.base.progress import Report
+from petscjam.base.ranges import MODES
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
-from petscjam.progress import Report
-from petscjam.ranges import MODES
+from petscjam.preparation.certify import EPS, below_all, hessian, pivots_below
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem, describe
+from petscjam.rows.damping import ContactDamping
+from petscjam.rows.kinematics import contact_rows, strain_mode
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
@@ -206,14 +206,23 @@ def lowest_modes(
     performance = {"ranks": comm.size, "unknowns": dofs.size, **search.performance}
     performance["seconds"] = time.perf_counter() - start
     return Modes(
-        eigenvalues=values, vectors=vectors, residuals=found.residuals, complete=search.complete,
+        eigenvalues=values,
+        vectors=vectors,
+        residuals=found.residuals,
+        complete=search.complete,
         disks=np.flatnonzero(network.backbone),
-        participation=square.sum(1) ** 2 / (square.shape[1] * (square**2).sum(1)), floppiness=floppiness,
-        amplitudes=amplitudes, softening=-mode.scale * amplitudes * force / packing.box.area,
-        G_affine=problem.modulus(problem.affine[0]).real, strain=strain, prestress=prestress,
-        packing=describe(problem, name), geometry=packing,
-        notes=(*problem.notes, *search.notes), performance=comm.bcast(performance),
-    )  # fmt: skip
+        participation=square.sum(1) ** 2 / (square.shape[1] * (square**2).sum(1)),
+        floppiness=floppiness,
+        amplitudes=amplitudes,
+        softening=-mode.scale * amplitudes * force / packing.box.area,
+        G_affine=problem.modulus(problem.affine[0]).real,
+        strain=strain,
+        prestress=prestress,
+        packing=describe(problem, name),
+        geometry=packing,
+        notes=(*problem.notes, *search.notes),
+        performance=comm.bcast(performance),
+    )
 
 
 def check(count: int, network: ContactNetwork) -> None:
@@ -249,9 +258,7 @@ def probe(dofs: Dofs, rank: int) -> Array:
     return np.random.default_rng(0).standard_normal(dofs.index.size)[dofs.flat[start:stop]]
 
 
-def _searched(
-    problem: LinearProblem, pencil: Pencil, count: int, stiffest: float, progress: Report | None
-) -> Search:
+def _searched(problem: LinearProblem, pencil: Pencil, count: int, stiffest: float, progress: Report | None) -> Search:
     """Search until a count says that no mode is missing."""
     comm, size, network = problem.comm, pencil.dofs.size, problem.backbone
     shift = -BELOW * stiffest
@@ -272,9 +279,7 @@ def _searched(
         give_back_memory()
         return below
 
-    return search_all(
-        search, count_below, count, size - 2, least=lambda _: ZERO * stiffest, left_out=(0.0, 0.0)
-    )
+    return search_all(search, count_below, count, size - 2, least=lambda _: ZERO * stiffest, left_out=(0.0, 0.0))
 
 
 def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> Search:

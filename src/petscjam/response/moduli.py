@@ -12,25 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.box import Array
-from petscjam.damping import ContactDamping, DampingLaw, law_or_default
-from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.progress import Report
-from petscjam.response.limits import (
-    LARGEST_RESIDUAL,
-    infinite_frequency,
-    limit_or_note,
-    quasistatic,
-    zero_frequency,
-)
+from petscjam.response.limits import LARGEST_RESIDUAL, infinite_frequency, limit_or_note, quasistatic, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.response.result import ComplexModulus, frequencies
+from petscjam.response.result import ComplexModulus
+from petscjam.rows.damping import ContactDamping, DampingLaw, law_or_default
+from petscjam.rows.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 
 
 def complex_modulus(
@@ -105,19 +100,34 @@ def complex_modulus(
     if progress:
         progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
-        omega=omega, values=values, residuals=residuals, power_balance=balance,
-        errors=np.full(len(omega), np.nan), part_errors=np.full((2, len(omega)), np.nan),
-        G0=low.G, eta0=low.eta, G_inf=high.G, eta_inf=high.eta,
+        omega=omega,
+        values=values,
+        residuals=residuals,
+        power_balance=balance,
+        errors=np.full(len(omega), np.nan),
+        part_errors=np.full((2, len(omega)), np.nan),
+        G0=low.G,
+        eta0=low.eta,
+        G_inf=high.G,
+        eta_inf=high.eta,
         limit_residuals=np.array([low.residual, high.residual]),
-        negative_modes=problem.negative_modes, zero_modes=problem.zero_modes,
-        strain=strain, damping=str(problem.law), prestress=prestress,
-        packing=describe(problem, name), notes=tuple(problem.notes),
-        field_omega=kept, fields=fields, geometry=packing if len(kept) else None,
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
+        strain=strain,
+        damping=str(problem.law),
+        prestress=prestress,
+        packing=describe(problem, name),
+        notes=tuple(problem.notes),
+        field_omega=kept,
+        fields=fields,
+        geometry=packing if len(kept) else None,
         performance={
-            "factorisations": factorisations, "ranks": comm.size, "mumps_MB": memory,
+            "factorisations": factorisations,
+            "ranks": comm.size,
+            "mumps_MB": memory,
             "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
         },
-    )  # fmt: skip
+    )
 
 
 def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = None) -> Array:
@@ -143,9 +153,7 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = N
     return np.array(C) / packing.box.area
 
 
-def _solve(
-    problem: LinearProblem, pencil: Pencil, solver: DirectSolver, omega: float
-) -> tuple[Field, float, complex]:
+def _solve(problem: LinearProblem, pencil: Pencil, solver: DirectSolver, omega: float) -> tuple[Field, float, complex]:
     """Return q, its residual, and A_γu·q."""
     solver.factor(pencil.combine(1, 1j * omega))
     forcing = (pencil.k + 1j * omega * pencil.b)[:, 0]

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.errors import SolverError
-from petscjam.kinematics import Motion
+from petscjam.base.errors import SolverError
+from petscjam.base.types import Array
 from petscjam.parallel.comm import total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.solver import DirectSolver
@@ -22,6 +21,7 @@ from petscjam.response.dofs import connected, free_motions, sees
 from petscjam.response.limits import LARGEST_RESIDUAL
 from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
+from petscjam.rows.kinematics import Motion
 
 NEW = 1e-10  # part of a vector outside the others, below which it is rounding
 ROUNDING = 1e-13  # residual, relative to ‖A‖‖x‖, that a stable solve may leave: soft motions make x large

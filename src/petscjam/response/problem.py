@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array, Integers
-from petscjam.damping import DampingLaw, viscous_form
-from petscjam.errors import SolverError
-from petscjam.kinematics import Field, Form, Motion, StrainMode, elastic_form
-from petscjam.network import ContactNetwork
-from petscjam.packing.certify import dependent_rows, matrix, modes
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import SolverError
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.memory import give_back_memory
+from petscjam.preparation.certify import dependent_rows, matrix, modes
 from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
+from petscjam.rows.damping import DampingLaw, viscous_form
+from petscjam.rows.kinematics import Field, Form, Motion, StrainMode, elastic_form
 
 NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
@@ -35,9 +35,15 @@ class LinearProblem:
     """
 
     def __init__(
-        self, packing: Packing, law: DampingLaw, strains: Sequence[StrainMode], prestress: bool, comm: Any,
-        *, fluid: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        packing: Packing,
+        law: DampingLaw,
+        strains: Sequence[StrainMode],
+        prestress: bool,
+        comm: Any,
+        *,
+        fluid: bool = True,
+    ) -> None:
         self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
         self.prestress = prestress
         self.notes: list[str] = []
@@ -90,9 +96,7 @@ class LinearProblem:
         """Numbers of negative and of zero modes: of a certificate of this very packing, or counted."""
         known = self.packing.certificate
         counts = known.negative_modes, known.zero_modes
-        if known.checksum == self.packing.checksum and (
-            counts == (0, 0) or (self.prestress and None not in counts)
-        ):
+        if known.checksum == self.packing.checksum and (counts == (0, 0) or (self.prestress and None not in counts)):
             return counts  # without pre-stress K is stiffer still
         try:
             return on_root(self.comm, modes, self.backbone, self.prestress)
@@ -161,8 +165,15 @@ def describe(problem: LinearProblem, name: str) -> dict[str, Any]:
     """Return what identifies the packing of ``problem`` in a result."""
     packing, network = problem.packing, problem.backbone
     return {
-        "name": name, "checksum": packing.checksum, "particles": len(packing), "phi": packing.phi,
-        "diameter": packing.mean_diameter, "pressure": network.pressure, "Z": network.Z,
-        "rattlers": network.rattlers, "potential": packing.potential_name,
-        "balanced": problem.balanced, "net_force": problem.net_force,
-    }  # fmt: skip
+        "name": name,
+        "checksum": packing.checksum,
+        "particles": len(packing),
+        "phi": packing.phi,
+        "diameter": packing.mean_diameter,
+        "pressure": network.pressure,
+        "Z": network.Z,
+        "rattlers": network.rattlers,
+        "potential": packing.potential_name,
+        "balanced": problem.balanced,
+        "net_force": problem.net_force,
+    }

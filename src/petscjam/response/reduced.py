@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.box import Array
-from petscjam.damping import DampingLaw, law_or_default
-from petscjam.errors import InputError, SolverError, shown
-from petscjam.kinematics import strain_mode
-from petscjam.network import rounded
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.network import rounded
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.progress import Report
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.motions import Motions
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
+from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.kinematics import strain_mode
 
 PER_DECADE = 32  # frequencies at which the certificate is asked for
 EVERY = 4  # and every so many of them may become a node
@@ -114,38 +114,53 @@ def spectrum(
     ):
         grow = _Projection(problem, pencil, solver)
         make = partial(
-            Spectrum, span=(low, high), rtol=rtol, limits=np.full((2, 2), np.nan),
-            limit_errors=np.full((2, 2), np.nan), forcing=grow.forcing, affine=problem.affine,
-            area=packing.box.area, pressure=problem.pressure, definite=problem.definite,
-            negative_modes=problem.negative_modes, zero_modes=problem.zero_modes, strain=strain, damping=law,
-            prestress=prestress, packing=describe(problem, name),
-        )  # fmt: skip
+            Spectrum,
+            span=(low, high),
+            rtol=rtol,
+            limits=np.full((2, 2), np.nan),
+            limit_errors=np.full((2, 2), np.nan),
+            forcing=grow.forcing,
+            affine=problem.affine,
+            area=packing.box.area,
+            pressure=problem.pressure,
+            definite=problem.definite,
+            negative_modes=problem.negative_modes,
+            zero_modes=problem.zero_modes,
+            strain=strain,
+            damping=law,
+            prestress=prestress,
+            packing=describe(problem, name),
+        )
         model = _until_certified(grow, make, progress)
         limits, limit_errors = comm.bcast(_own_limits(model, problem.notes))
         if not limit_errors[1].max() < PLATEAU:
-            found = limit_or_note(
-                lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞"
-            )
+            found = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
             limits[1], limit_errors[1] = (found.G, found.eta + model.fluid), found.residual
         motions = grow.displacements() if displacements else None
         performance = {
-            "factorisations": len(grow.nodes), "ranks": comm.size, "unknowns": dofs.size,
-            "mumps_MB": solver.memory, "flops": solver.flops, "residual": grow.residual,
-        }  # fmt: skip
+            "factorisations": len(grow.nodes),
+            "ranks": comm.size,
+            "unknowns": dofs.size,
+            "mumps_MB": solver.memory,
+            "flops": solver.flops,
+            "residual": grow.residual,
+        }
     if not limit_errors[0].max() < PLATEAU:
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
         limits[0], limit_errors[0] = (found.G, found.eta + model.fluid), found.residual
     elif problem.pressed_rattlers:
-        problem.notes.append(
-            "rattlers are pressed: not in mechanical equilibrium, G0 and η0 are of the model"
-        )
+        problem.notes.append("rattlers are pressed: not in mechanical equilibrium, G0 and η0 are of the model")
     performance["peak_MB"] = comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     performance["seconds"] = comm.bcast(time.perf_counter() - start)
     return replace(
-        model, limits=comm.bcast(rounded(limits, problem.rounding)), limit_errors=comm.bcast(limit_errors),
-        notes=tuple(problem.notes), performance=performance, motions=motions,
+        model,
+        limits=comm.bcast(rounded(limits, problem.rounding)),
+        limit_errors=comm.bcast(limit_errors),
+        notes=tuple(problem.notes),
+        performance=performance,
+        motions=motions,
         geometry=packing if displacements else None,
-    )  # fmt: skip
+    )
 
 
 def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, float]:
@@ -269,9 +284,7 @@ class _Projection(Motions):
         wrong = np.maximum(-gains.real, gains.imag).clip(0) * self.problem.definite  # signs are known there
         with np.errstate(divide="ignore", invalid="ignore"):
             gain_errors = np.where(wrong > 0, wrong / abs(gains), 0.0)
-        return common | {
-            "residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors,
-        }  # fmt: skip
+        return common | {"residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors}
 
     def _rounding_only(self, grid: Array) -> dict[str, Any]:
         """Return the arrays of a model whose residual is rounding, in no direction that is known.
@@ -285,9 +298,12 @@ class _Projection(Motions):
         gains, gain_errors = np.zeros(len(self.nodes), dtype=complex), np.ones(len(self.nodes))
         gains[-1], gain_errors[-1] = self._largest_gain() * (1 - 1j), 0.0
         return {
-            "residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors,
+            "residual_K": residual_K,
+            "residual_B": residual_B,
+            "gains": gains,
+            "gain_errors": gain_errors,
             "rounding_only": True,
-        }  # fmt: skip
+        }
 
     def _largest_gain(self) -> float:
         """Return ‖A⁻¹‖ of the last node's A = K + iω_kB, or more.

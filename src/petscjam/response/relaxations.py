@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import dia_array
 
-from petscjam.box import Array, Integers
-from petscjam.damping import DampingLaw, law_or_default, viscous_form
-from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import elastic_form, strain_mode
-from petscjam.packing.certify import matrix, negative_pivots, pivots_below
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.progress import Report
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.progress import Report
+from petscjam.preparation.certify import matrix, negative_pivots, pivots_below
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
 from petscjam.response.problem import LinearProblem, describe
+from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
+from petscjam.rows.kinematics import elastic_form, strain_mode
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
@@ -139,18 +139,32 @@ def relaxation_modes(
         soft = lowest_modes(packing, count, prestress=prestress, strain=strain, comm=comm, progress=progress)
         root = np.sqrt(soft.eigenvalues)
         found = _Relaxations(
-            law.body / soft.eigenvalues, soft.softening, soft.vectors / root[:, None, None],
-            soft.residuals / soft.eigenvalues, soft.complete, soft.performance
-        )  # fmt: skip
+            law.body / soft.eigenvalues,
+            soft.softening,
+            soft.vectors / root[:, None, None],
+            soft.residuals / soft.eigenvalues,
+            soft.complete,
+            soft.performance,
+        )
         problem.notes = list(soft.notes)
     else:
         found = _under_contact_damping(problem, count, progress)
     performance = {**found.performance, "seconds": comm.bcast(time.perf_counter() - start)}
     return RelaxationModes(
-        found.times, found.weights, found.vectors, found.residuals, found.complete,
-        np.flatnonzero(problem.backbone.backbone), strain, law, prestress,
-        describe(problem, name), packing, tuple(problem.notes), performance,
-    )  # fmt: skip
+        found.times,
+        found.weights,
+        found.vectors,
+        found.residuals,
+        found.complete,
+        np.flatnonzero(problem.backbone.backbone),
+        strain,
+        law,
+        prestress,
+        describe(problem, name),
+        packing,
+        tuple(problem.notes),
+        performance,
+    )
 
 
 class _Relaxations(NamedTuple):
@@ -202,9 +216,13 @@ def _under_contact_damping(problem: LinearProblem, count: int, progress: Report 
     weights = problem.strains[0].scale * (k - drag) ** 2 / problem.packing.box.area
     problem.notes += searched.notes
     return _Relaxations(
-        times, weights, vectors, found.residuals / np.maximum(times, last), searched.complete,
+        times,
+        weights,
+        vectors,
+        found.residuals / np.maximum(times, last),
+        searched.complete,
         comm.bcast({"ranks": comm.size, "unknowns": dofs.size, **searched.performance}),
-    )  # fmt: skip
+    )
 
 
 def _slower(problem: LinearProblem, tau: float, room: float) -> int:
@@ -285,10 +303,7 @@ def _eliminated(pencil: Pencil, comm: Any) -> Iterator[_Eliminated]:
     for square in (K, B_rr):
         square.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         square.setOption(PETSc.Mat.Option.HERMITIAN, False)
-    with (
-        destroying(u, r, K, B_uu, B_ur, B_rr),
-        direct_solver(comm, "petscjam_rolling_", definite=True) as solver,
-    ):
+    with destroying(u, r, K, B_uu, B_ur, B_rr), direct_solver(comm, "petscjam_rolling_", definite=True) as solver:
         solver.factor(B_rr)
         following = _Following(B_uu, B_ur, solver)
         minus_B = PETSc.Mat().createPython(B_uu.getSizes(), following, comm=comm)

@@ -5,59 +5,16 @@ Axes: w frequency, i disk, x Cartesian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array
-from petscjam.errors import InputError
-from petscjam.packing.packing import Packing
-from petscjam.ranges import OMEGA
-
-if TYPE_CHECKING:
-    from petscjam.response.spectrum import Spectrum
-
-
-def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
-    """Return ``omegas`` as an array, or refuse an empty one and any that is out of range."""
-    omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
-    if omega.size == 0 and not empty:
-        raise InputError("omega: the range is empty")
-    for value in omega[~((omega >= OMEGA.low) & (omega <= OMEGA.high))]:
-        OMEGA.check("omega: frequencies", float(value))
-    return omega
-
-
-class Judged:
-    """A result that tells whether its packing is a solid, by G0, the modes of K and the balance of forces."""
-
-    @property
-    def state(self: Any) -> str:
-        """``stable``, or what the packing lacks for that, or what is not known.
-
-        It is stable if G0 > 0 beyond rounding, K has neither negative nor zero modes and, with pre-stress,
-        the forces balance: a linear response starts from an equilibrium. Without pre-stress contacts are
-        springs at rest, which are in one anywhere.
-        """
-        faults = ["G0 < 0"] * (self.G0 < 0) + ["G0 = 0"] * (self.G0 == 0)
-        unknown = ["G0"] * bool(np.isnan(self.G0))
-        for kind, count in (("negative modes", self.negative_modes), ("zero modes", self.zero_modes)):
-            faults += [f"{count} {kind}"] * bool(count)
-            unknown += [kind] * (count is None)
-        balanced = self.packing.get("balanced") if self.prestress else True  # older files do not tell
-        if faults:
-            return f"UNSTABLE: {', '.join(faults + ['not in balance'] * (balanced is False))}"
-        if balanced is False:
-            return "NOT IN BALANCE"
-        unknown += ["balance"] * (balanced is None)
-        return f"UNKNOWN: {', '.join(unknown)}" if unknown else "stable"
-
-    @property
-    def stable(self) -> bool:
-        """Whether ``state`` is ``stable``."""
-        return self.state == "stable"
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
+from petscjam.response.origin import Judged, frequencies
+from petscjam.response.spectrum import Spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,3 +85,48 @@ class ComplexModulus(Judged):
     geometry: Packing | None = None
     performance: dict[str, Any] = field(default_factory=dict)
     model: Spectrum | None = None
+
+    @classmethod
+    def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
+        """Return G* of ``model`` on a grid, with errors; the model goes along.
+
+        Parameters
+        ----------
+        model : Spectrum
+        omegas : (W,)
+            Angular frequencies, 1/τ1.
+        fields_at : (F,)
+            Frequencies whose displacements are kept.
+
+        Raises
+        ------
+        InputError
+            On a frequency outside the span of the model, or displacements of a model without motions.
+        """
+        omega, kept = frequencies(omegas), frequencies(fields_at, empty=True)
+        fields = np.array([model.displacement(w) for w in kept], dtype=complex)
+        return cls(
+            omega=omega,
+            values=model(omega),
+            residuals=model.residuals(omega),
+            power_balance=model.power_balance(omega),
+            errors=model.error(omega),
+            part_errors=np.array(model.part_errors(omega)),
+            G0=model.G0,
+            eta0=model.eta0,
+            G_inf=model.G_inf,
+            eta_inf=model.eta_inf,
+            limit_residuals=model.limit_errors.max(1),
+            negative_modes=model.negative_modes,
+            zero_modes=model.zero_modes,
+            strain=model.strain,
+            damping=str(model.damping),
+            prestress=model.prestress,
+            packing=model.packing,
+            notes=model.notes,
+            field_omega=kept,
+            fields=fields if len(kept) else np.empty((0, 0, 2), complex),
+            geometry=model.geometry if len(kept) else None,
+            performance=model.performance,
+            model=replace(model, motions=None, geometry=None),
+        )

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array
-from petscjam.damping import DampingLaw, StokesDrag
-from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import strain_mode
-from petscjam.packing.packing import Packing
-from petscjam.response.result import ComplexModulus, Judged, frequencies
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
+from petscjam.response.origin import Judged, frequencies
+from petscjam.rows.damping import DampingLaw, StokesDrag
+from petscjam.rows.kinematics import strain_mode
 
 EPS = float(np.finfo(float).eps)
 ROUNDING = 32 * EPS  # of a sum over contacts, relative to the sum of moduli: twice the worst that was seen
@@ -300,27 +300,8 @@ class Spectrum(Judged):
         other = replace(self, damping=law, limits=limits, limit_errors=limit_errors)
         worst = float(other.error(np.geomspace(*self.span, 201)).max())
         if worst > max(self.rtol, self.error(np.geomspace(*self.span, 201)).max()):
-            other = replace(
-                other, notes=(*self.notes, f"with ηF = {eta_fluid:g} the errors reach {worst:.1e}")
-            )
+            other = replace(other, notes=(*self.notes, f"with ηF = {eta_fluid:g} the errors reach {worst:.1e}"))
         return other
-
-    def sample(self, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
-        """Return G* on a grid, with errors, and the displacements at ``fields_at``; the model goes along."""
-        omega, kept = frequencies(omegas), frequencies(fields_at, empty=True)
-        fields = np.array([self.displacement(w) for w in kept], dtype=complex)
-        return ComplexModulus(
-            omega=omega, values=self(omega), residuals=self.residuals(omega),
-            power_balance=self.power_balance(omega), errors=self.error(omega),
-            part_errors=np.array(self.part_errors(omega)),
-            G0=self.G0, eta0=self.eta0, G_inf=self.G_inf, eta_inf=self.eta_inf,
-            limit_residuals=self.limit_errors.max(1),
-            negative_modes=self.negative_modes, zero_modes=self.zero_modes, strain=self.strain,
-            damping=str(self.damping), prestress=self.prestress, packing=self.packing,
-            notes=self.notes, field_omega=kept, fields=fields if len(kept) else np.empty((0, 0, 2), complex),
-            geometry=self.geometry if len(kept) else None, performance=self.performance,
-            model=replace(self, motions=None, geometry=None),
-        )  # fmt: skip
 
     # ---- the model at work
 
@@ -453,9 +434,7 @@ def relaxed(A: Complex) -> Complex:
         try:
             Q[:, 1:] = -np.linalg.solve(scaled, (A[:, 1:, 0] / size)[..., None])[..., 0] / size
         except np.linalg.LinAlgError:
-            raise SolverError(
-                "the reduced model is singular: there are motions that nothing resists"
-            ) from None
+            raise SolverError("the reduced model is singular: there are motions that nothing resists") from None
     return Q
 
 

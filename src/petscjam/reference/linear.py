@@ -59,11 +59,7 @@ def without_rattlers(found, n):
 
 def affine(strain, rx, ry):
     """Return F′r for a strain mode."""
-    return {
-        "simple-shear": (ry, 0.0),
-        "pure-shear": (rx / 2, -ry / 2),
-        "compression": (rx, ry),
-    }[strain]
+    return {"simple-shear": (ry, 0.0), "pure-shear": (rx / 2, -ry / 2), "compression": (rx, ry)}[strain]
 
 
 def rows(c, radii, strain, arms):

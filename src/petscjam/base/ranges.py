@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
 
-from petscjam.errors import InputError, shown
+from petscjam.base.errors import InputError, shown
 
 
 @dataclass(frozen=True)

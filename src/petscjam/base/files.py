@@ -23,7 +23,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
 
 if TYPE_CHECKING:
     import h5py
@@ -34,11 +34,19 @@ PIECE = 2**20  # bytes read at a time
 ROOM = 24  # bytes that the name of a temporary file is longer
 FREE, RATIO = 2**26, 1000  # bytes that a dataset may take without being stored; most that compression saves
 TYPES = {  # kinds of NumPy, and whether it is an array, of what annotations of dataclasses say
-    "Array": ("f", True), "Integers": ("iu", True), "NDArray[np.int64]": ("iu", True),
-    "NDArray[np.complex128]": ("c", True), "Complex": ("c", True), "NDArray[np.bool_]": ("b", True),
-    "tuple[float, float]": ("f", True), "tuple[float, ...]": ("f", True),
-    "float": ("fiu", False), "int": ("iu", False), "bool": ("b", False), "str": ("U", False),
-}  # fmt: skip
+    "Array": ("f", True),
+    "Integers": ("iu", True),
+    "NDArray[np.int64]": ("iu", True),
+    "NDArray[np.complex128]": ("c", True),
+    "Complex": ("c", True),
+    "NDArray[np.bool_]": ("b", True),
+    "tuple[float, float]": ("f", True),
+    "tuple[float, ...]": ("f", True),
+    "float": ("fiu", False),
+    "int": ("iu", False),
+    "bool": ("b", False),
+    "str": ("U", False),
+}
 VERSIONS = ("v108", "latest")  # H5MD recommends version 2 of the file format: metadata have checksums
 
 
@@ -49,8 +57,17 @@ def understanding(what: str) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError,
-            AssertionError, MemoryError) as error:  # fmt: skip
+    except (
+        OSError,
+        RuntimeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        AssertionError,
+        MemoryError,
+    ) as error:
         raise InputError(f"damaged {what}, or not the expected content ({error})") from error
 
 
@@ -67,9 +84,7 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
         raise InputError(f"{path}: {error.strerror or error}") from error
 
 
-def check_output(
-    path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()
-) -> None:
+def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()) -> None:
     """Refuse a ``path`` that could not be written at the end of the work, or should not be.
 
     Raises
@@ -82,10 +97,7 @@ def check_output(
         ("is a folder, not a file", os.path.isdir(path)),
         ("is a device or a pipe, not a file", os.path.exists(path) and not os.path.isfile(path)),
         ("is an input, too; choose another name", any(_same(path, name) for name in inputs)),
-        (
-            "exists already; choose another name or ask to overwrite it",
-            os.path.exists(path) and not overwrite,
-        ),
+        ("exists already; choose another name or ask to overwrite it", os.path.exists(path) and not overwrite),
     ):
         if refused:
             raise InputError(f"{path}: {reason}")
@@ -202,9 +214,7 @@ def group(parent: h5py.Group, path: str) -> h5py.Group:
     timeless.set_obj_track_times(False)
     for name in path.split("/"):
         there = name in parent
-        parent = (
-            parent[name] if there else h5py.Group(h5py.h5g.create(parent.id, name.encode(), gcpl=timeless))
-        )
+        parent = parent[name] if there else h5py.Group(h5py.h5g.create(parent.id, name.encode(), gcpl=timeless))
     return parent
 
 

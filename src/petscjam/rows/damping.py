@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam import ranges
-from petscjam.errors import InputError, shown
-from petscjam.kinematics import Form, StrainMode, form
-from petscjam.network import ContactNetwork
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, shown
+from petscjam.geometry.network import ContactNetwork
+from petscjam.rows.kinematics import Form, StrainMode, form
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,4 @@ def viscous_form(
     weights = np.multiply.outer(np.broadcast_to(times, len(network)), [law.normal, law.tangential])
     eta = law.fluid if fluid else 0.0
     extra = np.diag([eta * network.area * mode.shears_fluid for mode in strains])
-    return form(
-        network, my_disks, strains, weights,
-        at_contact_point=law.at_contact_point, body=law.body, extra=extra,
-    )  # fmt: skip
+    return form(network, my_disks, strains, weights, at_contact_point=law.at_contact_point, body=law.body, extra=extra)

@@ -1,4 +1,4 @@
-"""Numbers in text, and values of options: numbers, lists and ranges."""
+"""Argument types: what a number, a list or a range in a text stands for."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from petscjam.errors import shown
-from petscjam.ranges import Range
+from petscjam.base.errors import shown
+from petscjam.base.ranges import Range
 
 MOST = 1_000_000  # seeds, or points of a range
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)

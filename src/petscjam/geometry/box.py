@@ -9,19 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from petscjam.errors import InputError
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-
-def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray:
-    """Return a read-only copy of ``values``."""
-    array: NDArray = np.array(values, dtype=dtype)
-    array.flags.writeable = False
-    return array
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array, frozen
 
 
 @dataclass(frozen=True, eq=False)

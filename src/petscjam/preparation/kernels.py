@@ -1,6 +1,6 @@
 """The hot loops of packing preparation, compiled by numba: forces, and two minimisers.
 
-Disks are sorted in space; pairs come run by run (:func:`petscjam.neighbours.find`). Runs are shared among
+Disks are sorted in space; pairs come run by run (:func:`petscjam.geometry.neighbours.find`). Runs are shared among
 threads, each run is added up in order: sums do not depend on the number of threads.
 
 Axes: i, j disks of pair c.
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from petscjam.compiled import njit, prange
-from petscjam.neighbours import CHUNK
+from petscjam.base.compiled import njit, prange
+from petscjam.geometry.neighbours import CHUNK
 
 BATCH = 256
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
@@ -132,7 +132,7 @@ def evaluate(z, n, cell, pairs, exponent, threads, true, sums, g):
     Parameters
     ----------
     z : (2n + S,)
-        As described in :class:`petscjam.packing.minimise.Enthalpy`.
+        As described in :class:`petscjam.preparation.minimise.Enthalpy`.
     n : int
     cell : (S, 2, 2), float, float, float
         Strains, weight w, target pressure, area of the reference cell.
@@ -306,8 +306,29 @@ def reached(force, stress, cell, goal):
 
 
 @njit(cache=True)
-def fire(z, g, v, state, force, energy, stress, goal, steps, slowest, limit, built, largest, skin,
-         n, cell, pairs, exponent, threads, true, sums):  # fmt: skip
+def fire(
+    z,
+    g,
+    v,
+    state,
+    force,
+    energy,
+    stress,
+    goal,
+    steps,
+    slowest,
+    limit,
+    built,
+    largest,
+    skin,
+    n,
+    cell,
+    pairs,
+    exponent,
+    threads,
+    true,
+    sums,
+):
     """Take steps of FIRE until the goal is reached, the neighbour list is stale, or ``steps`` are done.
 
     ``z``, ``v`` and ``state`` (time step, mixing, steps downhill, largest velocity) change in place, and
@@ -391,8 +412,30 @@ def _turn(z, g, d, trial, g_trial):
 
 
 @njit(cache=True)
-def conjugate_gradients(z, g, d, trial, g_trial, state, force, energy, stress, goal, steps, limit, built,
-                        largest, skin, n, cell, pairs, exponent, threads, true, sums):  # fmt: skip
+def conjugate_gradients(
+    z,
+    g,
+    d,
+    trial,
+    g_trial,
+    state,
+    force,
+    energy,
+    stress,
+    goal,
+    steps,
+    limit,
+    built,
+    largest,
+    skin,
+    n,
+    cell,
+    pairs,
+    exponent,
+    threads,
+    true,
+    sums,
+):
     """Take steps of Polak–Ribière+ conjugate gradients until the goal, a stale list, or enough gradients.
 
     A line is followed until the slope of H along d has risen to within 5 % of zero, by secants; a looser

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from petscjam.box import Array
-from petscjam.errors import InputError
-from petscjam.network import ContactNetwork
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.geometry.network import ContactNetwork
 
 Field = NDArray[np.complex128]
 Motion = tuple[Field, ArrayLike]  # (q, s): every disk beyond the affine motion, and the strains
@@ -172,11 +172,7 @@ def form(
 
 
 def elastic_form(
-    network: ContactNetwork,
-    my_disks: NDArray[np.bool_],
-    strains: Sequence[StrainMode],
-    *,
-    prestress: bool,
+    network: ContactNetwork, my_disks: NDArray[np.bool_], strains: Sequence[StrainMode], *, prestress: bool
 ) -> Form:
     """Return K: stiffness k on Δu∥ and, with pre-stress, −f/r on Δu⊥ (BT eq. 4)."""
     transverse = -network.force / network.distance * prestress

@@ -6,16 +6,19 @@ Axes: i disk, x Cartesian.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array, Box, frozen
-from petscjam.errors import InputError, shown
-from petscjam.potential import Potential, potential
+from petscjam.base.errors import InputError, shown
+from petscjam.base.files import check_shapes, check_type
+from petscjam.base.types import Array, frozen
+from petscjam.geometry import packing_file
+from petscjam.geometry.box import Box
+from petscjam.geometry.potential import Potential, potential
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,22 @@ class Certificate:
     proved: bool | None = None
     checksum: str | None = None
 
+    @classmethod
+    def stored(cls, values: Mapping[str, Any]) -> Certificate:
+        """Return the certificate of ``values`` by the names of the fields; names that are unknown are left out.
+
+        Raises
+        ------
+        InputError
+            If a value has another type than its field.
+        """
+        known = {item.name: values.get(item.name) for item in fields(cls)}
+        for item in fields(cls):
+            check_type(f"{item.name} of the certificate", known[item.name], str(item.type))
+        check_shapes("certificate", {"eigenvalues": "C"}, known)
+        eigenvalues = known.pop("eigenvalues")
+        return cls(eigenvalues=None if eigenvalues is None else tuple(eigenvalues), **known)
+
     @property
     def lowest_eigenvalue(self) -> float | None:
         """The lowest eigenvalue of K, translations left out."""
@@ -84,7 +103,7 @@ class Packing:
     radii : array_like, shape (N,)
     box : Box
     potential_name : str
-        A name from :data:`petscjam.potential.POTENTIALS`.
+        A name from :data:`petscjam.geometry.potential.POTENTIALS`.
     certificate : Certificate
         Left out: one that says nothing.
     provenance : mapping
@@ -117,9 +136,7 @@ class Packing:
                 i = int(np.argmax(bad))
                 raise InputError(f"packing: the {name} of disk {i} is {values[i]}")
         if not isinstance(self.box, Box):
-            raise InputError(
-                f"packing: the box must be a Box, as Box([[Lx, 0], [0, Ly]]), not {shown(self.box)}"
-            )
+            raise InputError(f"packing: the box must be a Box, as Box([[Lx, 0], [0, Ly]]), not {shown(self.box)}")
         potential(self.potential_name)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "radii", radii)
@@ -152,13 +169,45 @@ class Packing:
 
     @classmethod
     def read(cls, path: str | PathLike[str]) -> Packing:
-        """Read a packing that :meth:`write` wrote (H5MD)."""
-        from petscjam.packing.h5md import read
+        """Read a packing that :meth:`write` wrote (H5MD): the same bits.
 
-        return read(path)
+        Raises
+        ------
+        InputError
+            If the file is missing, is no such file, is damaged (the checksum is verified), or holds no packing.
+        """
+        with packing_file.opened(path) as stored:
+            packing = cls(
+                stored.positions,
+                stored.radii,
+                Box(stored.cell),
+                stored.potential_name,
+                Certificate.stored(stored.certificate),
+                stored.provenance,
+            )
+            if packing.checksum != stored.checksum:
+                raise InputError(
+                    f"the checksum is {packing.checksum} but {stored.checksum} was recorded; "
+                    "the file was changed or damaged"
+                )
+        return packing
 
     def write(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the packing as H5MD; an existing file is refused unless ``overwrite``."""
-        from petscjam.packing.h5md import write
+        """Write the packing as H5MD.
 
-        write(self, path, overwrite=overwrite)
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+            Replace a file that exists.
+
+        Raises
+        ------
+        InputError
+            If ``path`` exists and ``overwrite`` is not set, or cannot be written.
+        """
+        known = {name: value for name, value in asdict(self.certificate).items() if value is not None}
+        stored = packing_file.Stored(
+            self.positions, self.radii, self.box.cell, self.potential_name, self.checksum, known, dict(self.provenance)
+        )
+        packing_file.write(path, stored, overwrite=overwrite)

@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array, Integers
-from petscjam.errors import InputError
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.packing import Packing
 
 NO_MODULUS = 1e-12  # of the affine modulus, up to which one is zero: rounding leaves 1e-31 to 1e-16
 
@@ -58,7 +58,7 @@ class ContactNetwork:
         InputError
             If two disks coincide.
         """
-        from petscjam.neighbours import pairs
+        from petscjam.geometry.neighbours import pairs
 
         radii = packing.radii
         i, j, r = pairs(packing.box, packing.positions, radii)
@@ -68,9 +68,15 @@ class ContactNetwork:
             raise InputError(f"packing: disks {i[c]} and {j[c]} lie on the same point")
         law = packing.potential
         network = cls(
-            i, j, r, law.force(distance, sigma), law.stiffness(distance, sigma),
-            radii, packing.box.area, backbone(i, j, len(radii)),
-        )  # fmt: skip
+            i,
+            j,
+            r,
+            law.force(distance, sigma),
+            law.stiffness(distance, sigma),
+            radii,
+            packing.box.area,
+            backbone(i, j, len(radii)),
+        )
         rounding = 4 * np.finfo(float).eps * network.stiffness * np.sqrt(network.area)
         counts = network.force > np.maximum(1e-10 * network.pressure * packing.mean_diameter, rounding)
         return network.only(counts | (network.backbone[i] & network.backbone[j]))

@@ -12,19 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from petscjam import ranges
-from petscjam.box import Array, Box
-from petscjam.errors import InputError, SolverError, shown
-from petscjam.interrupt import deferred
-from petscjam.network import ContactNetwork
-from petscjam.packing.certify import Instability, judge
-from petscjam.packing.minimise import METHODS, Enthalpy, Goal
-from petscjam.packing.newton import descend, first_closeness, near
-from petscjam.packing.packing import Packing
+from petscjam.base import ranges
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.files import release
+from petscjam.base.interrupt import deferred
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.potential import POTENTIALS
 from petscjam.parallel.memory import require
-from petscjam.potential import POTENTIALS
-from petscjam.progress import Report
-from petscjam.storage import release
+from petscjam.preparation.certify import Instability, judge
+from petscjam.preparation.minimise import METHODS, Enthalpy, Goal
+from petscjam.preparation.newton import descend, first_closeness, near
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
 PUSHES = 1000
@@ -72,7 +73,7 @@ def prepare_packing(
         shear in every direction (Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703).
     method : "fire" or "cg"
     potential_name : str
-        A name from :data:`petscjam.potential.POTENTIALS`.
+        A name from :data:`petscjam.geometry.potential.POTENTIALS`.
     ratio : float
         Diameter of the large disks over that of the small ones.
     composition : float
@@ -94,8 +95,17 @@ def prepare_packing(
         If forces and pressure do not reach their tolerances within the budget. (A packing that does, but
         is not proved a minimum within the budget, is returned with ``certificate.proved = False``.)
     """
-    check(n, pressure, seed, method=method, potential_name=potential_name, ratio=ratio,
-          composition=composition, polydispersity=polydispersity, budget=budget)  # fmt: skip
+    check(
+        n,
+        pressure,
+        seed,
+        method=method,
+        potential_name=potential_name,
+        ratio=ratio,
+        composition=composition,
+        polydispersity=polydispersity,
+        budget=budget,
+    )
     random = np.random.default_rng(seed)
     x = random.random((n, 2))
     radii = _radii(n, ratio, composition, polydispersity, random)
@@ -103,11 +113,16 @@ def prepare_packing(
     phi = 0.842 + 2.5 * pressure ** (1 / (exponent - 1))
     box = Box.square(float(np.sqrt(np.pi * (radii**2).sum() / phi)))
     made_by = {
-        "program": "petscjam", "version": release("petscjam"),
-        "numpy": release("numpy"), "numba": release("numba"),
-        "n": int(n), "seed": int(seed), "ratio": float(ratio), "composition": float(composition),
+        "program": "petscjam",
+        "version": release("petscjam"),
+        "numpy": release("numpy"),
+        "numba": release("numba"),
+        "n": int(n),
+        "seed": int(seed),
+        "ratio": float(ratio),
+        "composition": float(composition),
         "polydispersity": float(polydispersity),
-    }  # fmt: skip
+    }
     start = Packing(x @ box.cell, radii, box, potential_name, provenance=made_by)
     log_book = _LogBook(budget, progress)
     energy = Enthalpy(start, threads=threads, budget=budget, report=log_book)
@@ -152,10 +167,7 @@ def relax_packing(
 def _relaxed(
     packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int, book: _LogBook
 ) -> Packing:
-    made_by = {
-        **packing.provenance,
-        "pressure": pressure, "shear_stabilised": stabilised, "method": method,
-    }  # fmt: skip
+    made_by = {**packing.provenance, "pressure": pressure, "shear_stabilised": stabilised, "method": method}
     packing = replace(packing, provenance=made_by)
     judged: Packing | None = None
     way_down: Instability | None = None
@@ -177,16 +189,26 @@ def _relaxed(
 
 
 def _minimum(
-    packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int,
-    book: _LogBook, way_down: Instability | None,
-) -> Packing:  # fmt: skip
+    packing: Packing,
+    pressure: float | None,
+    stabilised: bool,
+    method: str,
+    threads: int,
+    book: _LogBook,
+    way_down: Instability | None,
+) -> Packing:
     """Minimise from ``packing``, or from a little way down along a motion that lowers the energy."""
 
     def energy(packing: Packing, pressure: float | None) -> Enthalpy:
         return Enthalpy(
-            packing, pressure, shape=stabilised, threads=threads,
-            budget=book.budget, evaluations=book.spent, report=book,
-        )  # fmt: skip
+            packing,
+            pressure,
+            shape=stabilised,
+            threads=threads,
+            budget=book.budget,
+            evaluations=book.spent,
+            report=book,
+        )
 
     def descended(h: Enthalpy, z: Array, slack: float, closeness: float) -> Packing:
         force, relative, error = _goal(h, z)
@@ -275,9 +297,7 @@ class _LogBook:
             return
         area = h.packing.box.area * float(np.linalg.det(h.unpack(z)[1]))
         phi = float(np.pi * (h.radii**2).sum() / area)
-        for name, value in (
-            ("evaluations", count), ("phi", phi), ("pressure", h.pressure), ("force", float(h.force)),
-        ):  # fmt: skip
+        for name, value in (("evaluations", count), ("phi", phi), ("pressure", h.pressure), ("force", float(h.force))):
             lists[name].append(value)
         if len(lists["phi"]) >= HISTORY:
             self._every *= 2
@@ -291,7 +311,7 @@ def _free_rattlers(packing: Packing) -> Packing:
     A minimiser leaves rattlers with overlaps of the order of rounding, and it would be rounding that
     decides whether they are in contact. They are pushed off by GAP.
     """
-    from petscjam.neighbours import pairs
+    from petscjam.geometry.neighbours import pairs
 
     rattler = ~ContactNetwork.of(packing).backbone
     x, radii = packing.positions.copy(), packing.radii
@@ -312,9 +332,7 @@ def _free_rattlers(packing: Packing) -> Packing:
     return replace(packing, positions=x)
 
 
-def _radii(
-    n: int, ratio: float, composition: float, polydispersity: float, random: np.random.Generator
-) -> Array:
+def _radii(n: int, ratio: float, composition: float, polydispersity: float, random: np.random.Generator) -> Array:
     """Return radii, small disks first, of mean ½ for the nominal composition."""
     small = 0.5 / (composition + (1 - composition) * ratio)
     radii = np.where(np.arange(n) < np.ceil(composition * n - 1e-9), small, ratio * small)
@@ -334,18 +352,18 @@ def check(n: int, pressure: float, seed: int, **others: Any) -> None:
         raise InputError(f"prepare: the pressure must be a number above 0, not {shown(pressure)}")
     ranges.SEED.check("prepare: the seed", seed)
     for name, known in (
-        ("ratio", ranges.RATIO), ("composition", ranges.COMPOSITION),
+        ("ratio", ranges.RATIO),
+        ("composition", ranges.COMPOSITION),
         ("polydispersity", ranges.POLYDISPERSITY),
-    ):  # fmt: skip
+    ):
         known.check(f"prepare: the {name}", others.get(name, 0.1))
     require(BYTES_PER_DISK * n, f"prepare: {n} disks")
     kind = others.get("potential_name", "harmonic")
     if kind not in POTENTIALS:
         raise InputError(f"prepare: the potential {kind!r} is unknown; known are {', '.join(POTENTIALS)}")
     check_relaxation(
-        n, pressure, others.get("shear_stabilised", False), others.get("method", "fire"),
-        others.get("budget", BUDGET),
-    )  # fmt: skip
+        n, pressure, others.get("shear_stabilised", False), others.get("method", "fire"), others.get("budget", BUDGET)
+    )
 
 
 def check_relaxation(
@@ -359,9 +377,7 @@ def check_relaxation(
         if stabilised:
             raise InputError("prepare: a packing stabilised against shear needs a target pressure")
     elif not 0 < pressure < 0.5 * unit:
-        raise InputError(
-            f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {shown(pressure)}"
-        )
+        raise InputError(f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {shown(pressure)}")
     elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5 * unit):
         raise InputError(
             f"prepare: at a pressure of {shown(pressure)} rounding leaves more than 1e-6 of the forces "

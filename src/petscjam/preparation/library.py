@@ -20,26 +20,41 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from petscjam.errors import InputError, SolverError, shown
-from petscjam.interrupt import Interrupted, deferred
-from petscjam.network import ContactNetwork
-from petscjam.packing.h5md import OURS
-from petscjam.packing.packing import Packing
-from petscjam.packing.prepare import BUDGET, check, prepare_packing, relax_packing
+from petscjam.base.arguments import parsed, parsed_whole
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.files import check_output, check_type, naming, open_h5, understanding, write_atomically
+from petscjam.base.interrupt import Interrupted, deferred
+from petscjam.base.progress import Report
+from petscjam.base.ranges import MOST_RUNS
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
+from petscjam.geometry.packing_file import OURS
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
-from petscjam.progress import Report
-from petscjam.ranges import MOST_RUNS
-from petscjam.storage import check_output, check_type, naming, open_h5, understanding, write_atomically
-from petscjam.values import parsed, parsed_whole
+from petscjam.preparation.prepare import BUDGET, check, prepare_packing, relax_packing
 
 SCHEMA = 1
 RECIPE, INDEX = "library.json", "index.csv"
 COLUMNS = (
-    "file", "particles", "target", "seed", "potential", "phi", "pressure", "Z", "rattlers", "contacts",
-    "lowest_eigenvalue", "shear_modulus", "max_force", "proved", "checksum", "seconds", "failure",
-)  # fmt: skip
+    "file",
+    "particles",
+    "target",
+    "seed",
+    "potential",
+    "phi",
+    "pressure",
+    "Z",
+    "rattlers",
+    "contacts",
+    "lowest_eigenvalue",
+    "shear_modulus",
+    "max_force",
+    "proved",
+    "checksum",
+    "seconds",
+    "failure",
+)
 WORTH_THREADS = 10_000  # disks
 
 
@@ -169,9 +184,15 @@ def prepare_library(
 
 
 def _fill(
-    folder: Path, series: list[_Series], settings: Recipe, missing: set[str], comm: Any, threads: int | None,
-    budget: int, progress: Report | None,
-) -> None:  # fmt: skip
+    folder: Path,
+    series: list[_Series],
+    settings: Recipe,
+    missing: set[str],
+    comm: Any,
+    threads: int | None,
+    budget: int,
+    progress: Report | None,
+) -> None:
     """Make what is missing, each series by one rank."""
     todo = [s for s in series if any(name in missing for _, name in s.names())]
     threads = threads or threads_for([s.n for s in todo], comm)
@@ -213,9 +234,7 @@ def read_library(folder: str | PathLike[str]) -> Library:
     return library
 
 
-def exists(
-    file: Path, n: int, pressure: float, seed: int, recipe: Recipe, before: Sequence[float] = ()
-) -> bool:
+def exists(file: Path, n: int, pressure: float, seed: int, recipe: Recipe, before: Sequence[float] = ()) -> bool:
     """Tell whether the packing is there.
 
     Raises
@@ -277,18 +296,22 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
             with suppress(OSError):
                 file.unlink()
     if not library.recipe:
-        text = json.dumps({"schema": SCHEMA, "units": "stiffness k = 1, mean diameter d = 1",
-                           "recipe": asdict(recipe), "checksum": _checksum(asdict(recipe))},
-                          indent=2)  # fmt: skip
+        text = json.dumps(
+            {
+                "schema": SCHEMA,
+                "units": "stiffness k = 1, mean diameter d = 1",
+                "recipe": asdict(recipe),
+                "checksum": _checksum(asdict(recipe)),
+            },
+            indent=2,
+        )
         write_atomically(folder / RECIPE, f"{text}\n".encode())
     lines = [dict(zip(COLUMNS, COLUMNS, strict=True)), *library.rows, *library.failed]
     write_atomically(folder / INDEX, "".join(map(_line, lines)).encode(errors="surrogateescape"))
     return missing
 
 
-def _make(
-    folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress: Report | None, **options: Any
-) -> None:
+def _make(folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress: Report | None, **options: Any) -> None:
     """Make what is missing of a series. The one before is read from its file, made now or long ago."""
     before: list[float] = []
     last: Path | None = None
@@ -303,19 +326,26 @@ def _make(
                 if failure:
                     raise SolverError(failure)
                 if last is None:
-                    packing = prepare_packing(
-                        s.n, pressure, s.seed, **recipe.start, **options, progress=report
-                    )
+                    packing = prepare_packing(s.n, pressure, s.seed, **recipe.start, **options, progress=report)
                 else:
                     packing = relax_packing(
-                        Packing.read(last), pressure, shear_stabilised=recipe.shear_stabilised,
-                        method=recipe.method, **options, progress=report,
-                    )  # fmt: skip
+                        Packing.read(last),
+                        pressure,
+                        shear_stabilised=recipe.shear_stabilised,
+                        method=recipe.method,
+                        **options,
+                        progress=report,
+                    )
             except Exception as error:
                 ours = isinstance(error, InputError | SolverError)
                 reason = str(error) if ours else f"{type(error).__name__}: {error}"
-                row = {"file": name, "particles": s.n, "target": pressure, "seed": s.seed,
-                       "failure": " ".join(reason.split())}  # fmt: skip
+                row = {
+                    "file": name,
+                    "particles": s.n,
+                    "target": pressure,
+                    "seed": s.seed,
+                    "failure": " ".join(reason.split()),
+                }
                 failure = f"{name}, to start from, failed"
             else:
                 if recipe.decompress:
@@ -378,9 +408,7 @@ def _recipe(file: Path) -> dict[str, Any]:
         if schema > SCHEMA:
             raise InputError(f"written by a newer petscjam (schema {schema}; this reads {SCHEMA})")
         if there not in (None, made):  # None: of an older petscjam
-            raise InputError(
-                f"the checksum is {made} but {shown(there)} was recorded; it was changed or damaged"
-            )
+            raise InputError(f"the checksum is {made} but {shown(there)} was recorded; it was changed or damaged")
         for item in fields(Recipe):
             if item.name not in recipe:
                 raise InputError(f"the recipe lacks {item.name}")
@@ -427,14 +455,22 @@ def _row(name: str, packing: Packing) -> dict[str, Any]:
         network = ContactNetwork.of(packing)
         # A packing that is not jammed may have none.
         contacts = int((network.backbone[network.i] & network.backbone[network.j]).sum())
-        measured = {"pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers,
-                    "contacts": contacts}  # fmt: skip
+        measured = {"pressure": network.pressure, "Z": network.Z, "rattlers": network.rattlers, "contacts": contacts}
     return {
-        "file": name, "particles": len(packing), "target": _if_number(made_by.get("pressure")),
-        "seed": _if_number(made_by.get("seed")), "potential": packing.potential_name, "phi": packing.phi,
-        **measured, "lowest_eigenvalue": c.lowest_eigenvalue, "shear_modulus": c.shear_modulus,
-        "max_force": c.max_force, "proved": c.proved, "checksum": packing.checksum, "seconds": None,
-    }  # fmt: skip
+        "file": name,
+        "particles": len(packing),
+        "target": _if_number(made_by.get("pressure")),
+        "seed": _if_number(made_by.get("seed")),
+        "potential": packing.potential_name,
+        "phi": packing.phi,
+        **measured,
+        "lowest_eigenvalue": c.lowest_eigenvalue,
+        "shear_modulus": c.shear_modulus,
+        "max_force": c.max_force,
+        "proved": c.proved,
+        "checksum": packing.checksum,
+        "seconds": None,
+    }
 
 
 def _if_number(value: Any) -> Any:
@@ -444,10 +480,13 @@ def _if_number(value: Any) -> Any:
 def _failed(line: Mapping[str, str]) -> dict[str, Any]:
     try:
         return {
-            "file": line["file"], "particles": parsed_whole(line["particles"]),
-            "target": parsed(line["target"]), "seed": parsed_whole(line["seed"]),
-            "seconds": _number(line["seconds"]), "failure": line["failure"],
-        }  # fmt: skip
+            "file": line["file"],
+            "particles": parsed_whole(line["particles"]),
+            "target": parsed(line["target"]),
+            "seed": parsed_whole(line["seed"]),
+            "seconds": _number(line["seconds"]),
+            "failure": line["failure"],
+        }
     except ValueError:  # damaged
         return {}
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.interrupt import check
+from petscjam.base.files import atomic_h5, group
+from petscjam.base.interrupt import check
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
 from petscjam.md import kernels
 from petscjam.md.frames import frames_of, write_frame
 from petscjam.md.kernels import BINS, TICKS
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import BLOCKS, MISSED, ROWS, Run, write_run
 from petscjam.md.simulation import Simulation
-from petscjam.progress import Report
-from petscjam.storage import atomic_h5, group
 
 STRESSES = [name for name in ROWS if name.startswith(("elastic", "dissipative"))]  # as the kernel counts
 KINETIC = [name for name in ROWS if name.startswith("kinetic")]
@@ -45,9 +45,14 @@ class Book:
         self._looks = self._pairs = 0
 
     def fill(
-        self, simulation: Simulation, protocol: Protocol, total: int, output: str | PathLike[str] | None,
-        frames: int, progress: Report | None,
-    ) -> Run:  # fmt: skip
+        self,
+        simulation: Simulation,
+        protocol: Protocol,
+        total: int,
+        output: str | PathLike[str] | None,
+        frames: int,
+        progress: Report | None,
+    ) -> Run:
         """Go on to step ``total`` of ``protocol``; write a checkpoint now and then, and at the end.
 
         Whatever ends it, the file is left with the last whole row.
@@ -111,29 +116,47 @@ class Book:
         spin = looked[0] / (n * looks)
         mean = total / steps
         values = {
-            "time": s.time, "strain": s.strain, "rate": mean_rate,
+            "time": s.time,
+            "strain": s.strain,
+            "rate": mean_rate,
             **{name: mean[index] / V for index, name in enumerate(STRESSES)},
             **{name: mean[kernels.KXX + k] / V for k, name in enumerate(KINETIC)},
-            "contacts": 2 * mean[kernels.TOUCHING] / n, "energy": sum(s.energy()),
-            "work": total[kernels.WORK] * s.dt, "heat": total[kernels.HEAT] * s.dt,
+            "contacts": 2 * mean[kernels.TOUCHING] / n,
+            "energy": sum(s.energy()),
+            "work": total[kernels.WORK] * s.dt,
+            "heat": total[kernels.HEAT] * s.dt,
             "jumps": total[kernels.JUMPS],
-            "made": counts[0], "broken": counts[1], "duration": counts[2] * s.dt / TICKS,
-            "spin": spin, "spin_variance": looked[1] / (n * looks) - spin**2,
-            "dvx2": looked[2] / (n * looks), "vy2": looked[3] / (n * looks),
-            "normal2": looked[4] / contacts, "tangential2": looked[5] / contacts,
-            "steps": s.substeps - substeps, "parts": parts, "rebuilds": s.rebuilds - rebuilds,
-        }  # fmt: skip
+            "made": counts[0],
+            "broken": counts[1],
+            "duration": counts[2] * s.dt / TICKS,
+            "spin": spin,
+            "spin_variance": looked[1] / (n * looks) - spin**2,
+            "dvx2": looked[2] / (n * looks),
+            "vy2": looked[3] / (n * looks),
+            "normal2": looked[4] / contacts,
+            "tangential2": looked[5] / contacts,
+            "steps": s.substeps - substeps,
+            "parts": parts,
+            "rebuilds": s.rebuilds - rebuilds,
+        }
         values["imbalance"] = values["energy"] - before - values["work"] - values["jumps"] + values["heat"]
         for name in ROWS:
             self.rows[name].append(float(values[name]))
 
     def _block(self) -> dict[str, Array]:
         values = {
-            "strain": self.rows["strain"][-1], "samples": self._looks, "making": self._angles[0],
-            "breaking": self._angles[1], "layer_disks": self._layers[0], "layer_vx": self._layers[1],
-            "layer_area": self._layers[2], "pairs": self._pairs, "first": self._moments[0],
-            "second": self._moments[1:], "scatter": self._scatter,
-        }  # fmt: skip
+            "strain": self.rows["strain"][-1],
+            "samples": self._looks,
+            "making": self._angles[0],
+            "breaking": self._angles[1],
+            "layer_disks": self._layers[0],
+            "layer_vx": self._layers[1],
+            "layer_area": self._layers[2],
+            "pairs": self._pairs,
+            "first": self._moments[0],
+            "second": self._moments[1:],
+            "scatter": self._scatter,
+        }
         return {name: np.array(values[name], dtype=float) for name in BLOCKS}
 
     def _close_block(self) -> None:
@@ -143,10 +166,12 @@ class Book:
 
     def _checkpoint(self, s: Simulation) -> dict[str, Any]:
         block = {
-            "angles": self._angles, "layers": self._layers, "moments": self._moments,
+            "angles": self._angles,
+            "layers": self._layers,
+            "moments": self._moments,
             "scatter": self._scatter,
             "looked": np.array([self._looks, self._pairs], dtype=np.int64),
-        }  # fmt: skip
+        }
         saved = {**s.checkpoint(), **{f"block_{name}": value.copy() for name, value in block.items()}}
         self._state = s.state
         return saved
@@ -168,9 +193,11 @@ class Book:
             for name, value in self._block().items():
                 blocks[name].append(value)
         return Run(
-            dict(self.settings), {name: np.array(values) for name, values in self.rows.items()},
-            {name: np.array(values) for name, values in blocks.items()}, self._state,
-        )  # fmt: skip
+            dict(self.settings),
+            {name: np.array(values) for name, values in self.rows.items()},
+            {name: np.array(values) for name, values in blocks.items()},
+            self._state,
+        )
 
     def write(self, output: str | PathLike[str]) -> None:
         """Replace the file, wholly or not at all."""

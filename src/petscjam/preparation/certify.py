@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petscjam.box import Array, Integers
-from petscjam.errors import InputError, SolverError
-from petscjam.kinematics import SIMPLE_SHEAR, Form, StrainMode, elastic_form
-from petscjam.network import ContactNetwork, rounded
-from petscjam.packing.packing import Certificate, Packing
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import ContactNetwork, rounded
+from petscjam.geometry.packing import Certificate, Packing
+from petscjam.rows.kinematics import SIMPLE_SHEAR, Form, StrainMode, elastic_form
 
 EPS = float(np.finfo(float).eps)
 EIGENVALUES = 4
@@ -39,9 +39,7 @@ def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
     return _elasticity(network, prestress, [SIMPLE_SHEAR])[0]  # the mode plays no part
 
 
-def _elasticity(
-    network: ContactNetwork, prestress: bool, strains: list[StrainMode]
-) -> tuple[csc_array, Array, Array]:
+def _elasticity(network: ContactNetwork, prestress: bool, strains: list[StrainMode]) -> tuple[csc_array, Array, Array]:
     """Return K_uu of the backbone, K_us (2n, S) and K_ss (S, S)."""
     network = network.without_rattlers()
     everybody = np.ones(len(network.radii), dtype=bool)
@@ -144,9 +142,7 @@ def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     """
     below, rounding = negative_pivots(K - _diagonal(np.full(K.shape[0], sigma)))
     if rounding > room:
-        raise SolverError(
-            f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}"
-        )
+        raise SolverError(f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}")
     return below
 
 
@@ -181,9 +177,7 @@ def pivots(A: csc_array) -> tuple[Array, float]:
     if A.shape[0] == 0:  # one disk, and its images
         return np.empty(0), 0.0
     try:
-        lu = splu(
-            A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        lu = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except (RuntimeError, MemoryError) as error:
         raise SolverError(f"the factorisation of K failed: {error}") from error
     if (lu.perm_r != lu.perm_c).any():
@@ -259,9 +253,7 @@ def lowest_modes(
         return pivots_below(K, sigma, room)
 
     with destroying(matrix):
-        found = search_all(
-            search, count_below, count, size - 2, least=lambda _: _zero(K), left_out=(0.0, 0.0)
-        )
+        found = search_all(search, count_below, count, size - 2, least=lambda _: _zero(K), left_out=(0.0, 0.0))
     values, vectors, residuals = found.pairs
     return values[:count], vectors[:, :count].T, residuals[:count], found.complete
 

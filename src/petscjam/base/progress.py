@@ -34,10 +34,15 @@ def _bar(label: str) -> Iterator[Report]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     with Progress(
-        TextColumn(label), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[text]}"),
+        TextColumn(label),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
         console=Console(stderr=True),
-    ) as bar:  # fmt: skip
+    ) as bar:
         task = bar.add_task(label, total=1.0, text="")
         yield lambda fraction, text: bar.update(task, completed=fraction, text=text)
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.errors import InputError
-from petscjam.ranges import EXPONENT
+from petscjam.base.errors import InputError
+from petscjam.base.ranges import EXPONENT
+from petscjam.base.types import Array
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,5 @@ def potential(name: str) -> Potential:
     law = power_law(float(found[1]), bool(found[2])) if found else POTENTIALS.get(name)
     if law is None or law.name != name:
         known = ", ".join(POTENTIALS)
-        raise InputError(
-            f"potential: {name!r} is unknown; known are {known}, power-3.0, power-3.0-relative, …"
-        )
+        raise InputError(f"potential: {name!r} is unknown; known are {known}, power-3.0, power-3.0-relative, …")
     return law

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.errors import SolverError
-from petscjam.kinematics import StrainMode, elastic_form
-from petscjam.network import ContactNetwork, backbone
-from petscjam.packing.minimise import METHODS, Enthalpy, Goal
+from petscjam.base.errors import SolverError
+from petscjam.base.types import Array
+from petscjam.geometry.network import ContactNetwork, backbone
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying
 from petscjam.parallel.solver import direct_solver
+from petscjam.preparation.minimise import METHODS, Enthalpy, Goal
+from petscjam.rows.kinematics import StrainMode, elastic_form
 
 SHIFT = 1e-10  # in units of the largest stiffness
 PATIENCE = 3

@@ -15,16 +15,16 @@ x.) What H5MD has no place for is in /parameters/petscjam.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from petscjam.box import Box
-from petscjam.errors import InputError
-from petscjam.packing.packing import Certificate, Packing
-from petscjam.storage import atomic_h5, check_output, check_shapes, check_type, group, open_h5, release
+from petscjam.base.errors import InputError
+from petscjam.base.files import atomic_h5, check_output, group, open_h5, release
+from petscjam.base.types import Array
 
 if TYPE_CHECKING:
     import h5py
@@ -42,8 +42,29 @@ REQUIRED = (
 UNITS = "lengths as in the source (nothing is rescaled); the potential fixes the unit of energy"
 
 
-def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) -> None:
-    """Write ``packing`` to ``path``, wholly or not at all.
+class Stored(NamedTuple):
+    """What a file holds of a packing.
+
+    Attributes
+    ----------
+    positions, radii, cell : (N, 2), (N,), (2, 2)
+    potential_name, checksum : str
+    certificate : dict
+        What is known of the fields of :class:`petscjam.Certificate`.
+    provenance : dict
+    """
+
+    positions: Array
+    radii: Array
+    cell: Array
+    potential_name: str
+    checksum: str
+    certificate: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def write(path: str | PathLike[str], stored: Stored, *, overwrite: bool = False) -> None:
+    """Write a packing to ``path``, wholly or not at all.
 
     Raises
     ------
@@ -51,38 +72,35 @@ def write(packing: Packing, path: str | PathLike[str], overwrite: bool = False) 
         If ``path`` exists and ``overwrite`` is not set, or cannot be written.
     """
     check_output(path, overwrite=overwrite)
-    edges = np.diag([0.0, 0.0, 2 * packing.radii.max()])
-    edges[:2, :2] = packing.box.cell
+    edges = np.diag([0.0, 0.0, 2 * stored.radii.max()])
+    edges[:2, :2] = stored.cell
     with atomic_h5(path) as file:
         _write_header(file)
         particles = group(file, PARTICLES)
         position = group(particles, "position")
         position["step"], position["time"] = np.zeros(1, dtype=int), np.zeros(1)
-        position["value"] = np.pad(packing.positions, ((0, 0), (0, 1)))[None]
-        particles["radius"] = packing.radii
-        particles["species"] = np.unique(packing.radii, return_inverse=True)[1]
+        position["value"] = np.pad(stored.positions, ((0, 0), (0, 1)))[None]
+        particles["radius"] = stored.radii
+        particles["species"] = np.unique(stored.radii, return_inverse=True)[1]
         box = group(particles, "box")
         box.attrs.update(dimension=3, boundary=np.array([b"periodic", b"periodic", b"none"]))
         group(box, "edges")["value"] = edges[None]
         for name in ("step", "time"):  # hard links, as the standard demands
             box[f"edges/{name}"] = position[name]
         ours = group(file, OURS)
-        ours.attrs.update(
-            schema=SCHEMA, potential=packing.potential_name, checksum=packing.checksum, units=UNITS
-        )
-        ours["provenance"] = json.dumps(dict(packing.provenance), default=lambda value: value.tolist())
-        known = {k: v for k, v in asdict(packing.certificate).items() if v is not None}
-        group(ours, "certificate").attrs.update(known)
+        ours.attrs.update(schema=SCHEMA, potential=stored.potential_name, checksum=stored.checksum, units=UNITS)
+        ours["provenance"] = json.dumps(stored.provenance, default=lambda value: value.tolist())
+        group(ours, "certificate").attrs.update(stored.certificate)
 
 
-def read(path: str | PathLike[str]) -> Packing:
-    """Read a packing written by :func:`write`: the same bits.
+@contextmanager
+def opened(path: str | PathLike[str]) -> Iterator[Stored]:
+    """Yield what a file of :func:`write` holds; an InputError of the block names the file.
 
     Raises
     ------
     InputError
-        If the file is missing, is not such a file, is damaged (the checksum is verified), or holds no
-        valid packing.
+        If the file is missing, is not such a file, or is damaged.
     """
     with open_h5(path) as file:
         missing = [name for name in REQUIRED if name not in file]
@@ -96,20 +114,19 @@ def read(path: str | PathLike[str]) -> Packing:
             raise InputError(
                 f"written by a newer petscjam (schema {ours.attrs['schema'][0]}; this one reads {SCHEMA[0]})"
             )
-        packing = Packing(
-            positions=particles["position/value"][0, :, :2],
-            radii=particles["radius"][()],
-            box=Box(particles["box/edges/value"][0, :2, :2]),
-            potential_name=ours.attrs["potential"],
-            certificate=_read_certificate(ours),
-            provenance=json.loads(ours["provenance"][()]),
+        certificate = {
+            name: value if isinstance(value, str) else value.tolist()
+            for name, value in ours["certificate"].attrs.items()
+        }
+        yield Stored(
+            particles["position/value"][0, :, :2],
+            particles["radius"][()],
+            particles["box/edges/value"][0, :2, :2],
+            ours.attrs["potential"],
+            ours.attrs["checksum"],
+            certificate,
+            json.loads(ours["provenance"][()]),
         )
-        if packing.checksum != ours.attrs["checksum"]:
-            raise InputError(
-                f"the checksum is {packing.checksum} but {ours.attrs['checksum']} was recorded; "
-                "the file was changed or damaged"
-            )
-    return packing
 
 
 def _write_header(file: h5py.File) -> None:
@@ -117,18 +134,3 @@ def _write_header(file: h5py.File) -> None:
     header.attrs["version"] = (1, 1)
     group(header, "author").attrs["name"] = "unknown"
     group(header, "creator").attrs.update(name="petscjam", version=release("petscjam"))
-
-
-def _read_certificate(ours: h5py.Group) -> Certificate:
-    known = {field.name for field in fields(Certificate)}
-    stored: dict[str, Any] = {
-        name: value if isinstance(value, str) else value.tolist()
-        for name, value in ours["certificate"].attrs.items()
-        if name in known
-    }
-    for item in fields(Certificate):
-        check_type(f"{item.name} of the certificate", stored.get(item.name), str(item.type))
-    check_shapes("certificate", {"eigenvalues": "C"}, {"eigenvalues": stored.get("eigenvalues")})
-    if "eigenvalues" in stored:
-        stored["eigenvalues"] = tuple(stored["eigenvalues"])
-    return Certificate(**stored)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.box import Array
-from petscjam.errors import SolverError
-from petscjam.interrupt import check
-from petscjam.packing.packing import Packing
+from petscjam.base.errors import SolverError
+from petscjam.base.interrupt import check
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
 
 NOTHING = np.zeros((0, 2, 2))
 SIZE = np.eye(2)[None]
@@ -51,7 +51,7 @@ class Enthalpy:
     start : (2N + S,)
         The z of ``packing``.
     unit : float
-        Stiffness of the packing's potential (:meth:`petscjam.potential.Potential.unit`).
+        Stiffness of the packing's potential (:meth:`petscjam.geometry.potential.Potential.unit`).
     energy, force : float
         U, and the largest net force on a disk, of the last gradient.
     stress : (3,)
@@ -71,7 +71,7 @@ class Enthalpy:
         evaluations: int = 0,
         report: Callable[[Enthalpy, Array], None] | None = None,
     ) -> None:
-        from petscjam.neighbours import check_memory
+        from petscjam.geometry.neighbours import check_memory
 
         self.packing, self.target = packing, pressure
         self.strains = NOTHING if pressure is None else SHAPE if shape else SIZE
@@ -103,7 +103,7 @@ class Enthalpy:
     @property
     def stress_error(self) -> float:
         """Largest error of what the cell relaxes: the pressure, or every part of the pressure tensor."""
-        from petscjam.packing.kernels import stress_error
+        from petscjam.preparation.kernels import stress_error
 
         return float(stress_error(self.stress, self.cell))
 
@@ -122,7 +122,7 @@ class Enthalpy:
 
     def reached(self, goal: Goal) -> bool:
         """Whether the last gradient meets ``goal``."""
-        from petscjam.packing.kernels import reached
+        from petscjam.preparation.kernels import reached
 
         return bool(reached(self.force, self.stress, self.cell, goal))
 
@@ -139,7 +139,7 @@ class Enthalpy:
         SolverError
             If the budget is used up.
         """
-        from petscjam.packing.kernels import evaluate
+        from petscjam.preparation.kernels import evaluate
 
         self.refresh(z)
         g = np.empty_like(z)
@@ -189,7 +189,7 @@ class Enthalpy:
 
         The skin follows the motion: a list is to last for a hundred gradients, and costs about fourteen.
         """
-        from petscjam.packing.kernels import farthest, stale
+        from petscjam.preparation.kernels import farthest, stale
 
         n = len(self.radii)
         if len(self._built):
@@ -205,7 +205,7 @@ class Enthalpy:
 
     def _build(self, x: Array, F: Array) -> None:
         """List the pairs: those within a run of disks first, run by run, then the rest with their images."""
-        from petscjam.neighbours import find
+        from petscjam.geometry.neighbours import find
 
         box = self.packing.box.deformed(F) if len(self.strains) else self.packing.box
         i, j, runs, images = find(x @ F.T, np.array(box.reduced), self.radii, self.skin)
@@ -220,10 +220,10 @@ class Enthalpy:
 
 
 def _use_threads(threads: int, n: int) -> bool:
-    from petscjam.neighbours import CHUNK
+    from petscjam.geometry.neighbours import CHUNK
 
     if threads > 1 and n > CHUNK:
-        from petscjam.compiled import MOST_THREADS, use_threads
+        from petscjam.base.compiled import MOST_THREADS, use_threads
 
         use_threads(min(threads, MOST_THREADS))
         return True
@@ -235,16 +235,29 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
 
     Unit masses; the fastest mode, ω² ≈ 8k, bounds the time step.
     """
-    from petscjam.packing import kernels
+    from petscjam.preparation import kernels
 
     z = z.copy()
     g, v = h.gradient(z), np.zeros_like(z)
     state = np.array([0.1 / h.unit**0.5, 0.1, 0.0, 0.0])
     while not h.reached(goal):
         taken, fresh, h.force, h.energy, h.stress = kernels.fire(
-            z, g, v, state, h.force, h.energy, h.stress, goal, min(REPORT_EVERY, h.budget - h.evaluations),
-            0.6 / h.stiffest**0.5, 0.1 * h.diameter, h.refresh(z), h.largest, h.skin, *h.arguments(),
-        )  # fmt: skip
+            z,
+            g,
+            v,
+            state,
+            h.force,
+            h.energy,
+            h.stress,
+            goal,
+            min(REPORT_EVERY, h.budget - h.evaluations),
+            0.6 / h.stiffest**0.5,
+            0.1 * h.diameter,
+            h.refresh(z),
+            h.largest,
+            h.skin,
+            *h.arguments(),
+        )
         h.count(z, taken)
         if not fresh:
             g = h.gradient(z)
@@ -253,7 +266,7 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
 
 def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
     """Minimise by Polak–Ribière+ conjugate gradients (BT sec. 2.1) until ``goal``; return z."""
-    from petscjam.packing import kernels
+    from petscjam.preparation import kernels
 
     z, trial = z.copy(), z.copy()
     g, g_trial = h.gradient(z), np.empty_like(z)
@@ -262,10 +275,23 @@ def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
     state = np.array([slope, min(0.1 / h.unit, longest), 0.0, slope, np.inf, np.inf, longest, 0.0])
     while not h.reached(goal):
         taken, h.force, h.energy, h.stress = kernels.conjugate_gradients(
-            z, g, d, trial, g_trial, state, h.force, h.energy, h.stress, goal,
-            min(REPORT_EVERY, h.budget - h.evaluations), limit, h.refresh(trial), h.largest, h.skin,
+            z,
+            g,
+            d,
+            trial,
+            g_trial,
+            state,
+            h.force,
+            h.energy,
+            h.stress,
+            goal,
+            min(REPORT_EVERY, h.budget - h.evaluations),
+            limit,
+            h.refresh(trial),
+            h.largest,
+            h.skin,
             *h.arguments(),
-        )  # fmt: skip
+        )
         h.count(z, taken)
     return z
 

@@ -163,9 +163,13 @@ def accelerations(state, model, masses=1.0):
 def moved(state, dt, positions, velocities, spins):
     """Return the state after ``dt``, the strain advanced."""
     return replace(
-        state, positions=positions, velocities=velocities, spins=spins,
-        strain=state.strain + state.rate * dt, time=state.time + dt,
-    )  # fmt: skip
+        state,
+        positions=positions,
+        velocities=velocities,
+        spins=spins,
+        strain=state.strain + state.rate * dt,
+        time=state.time + dt,
+    )
 
 
 def heun_step(state, model, dt, masses=1.0):

@@ -17,24 +17,25 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.box import Array
-from petscjam.damping import ContactDamping, DampingLaw, StokesDrag
-from petscjam.errors import InputError, SolverError, readable
-from petscjam.interrupt import Interrupted, check, deferred
+from petscjam.base.errors import InputError, SolverError, readable
+from petscjam.base.files import check_output, naming, write_atomically
+from petscjam.base.interrupt import Interrupted, check, deferred
+from petscjam.base.progress import Report, part
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
-from petscjam.kinematics import strain_mode
-from petscjam.packing.packing import Packing
 from petscjam.parallel.claims import claimed, turn
 from petscjam.parallel.comm import agree, on_root, raise_together
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
-from petscjam.progress import Report, part
 from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
+from petscjam.response.origin import frequencies
 from petscjam.response.reduced import spectrum
-from petscjam.response.result import ComplexModulus, frequencies
-from petscjam.storage import check_output, naming, write_atomically
+from petscjam.response.result import ComplexModulus
+from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
+from petscjam.rows.kinematics import strain_mode
 
 FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
 LARGE = 20_000  # disks from which the memory of a factor is announced
@@ -68,11 +69,7 @@ class Job:
 
     def missing(self, there: set[tuple[str, str, bool]]) -> set[str]:
         """Return the names of results that are not ``there``. The model is that of all laws all the same."""
-        return {
-            name
-            for law, name in self.groups.items()
-            if (self.checksum, str(law), self.prestress) not in there
-        }
+        return {name for law, name in self.groups.items() if (self.checksum, str(law), self.prestress) not in there}
 
 
 def sweep(
@@ -108,8 +105,23 @@ def sweep(
     InputError
         On files that are missing or no packings, an output that exists or was made with other settings.
     """
-    agree(comm, files, omegas, output, laws, prestress, strain, rtol, direct, fields_at, team_size, resume,
-          overwrite, out_of_core, block_low_rank)  # fmt: skip
+    agree(
+        comm,
+        files,
+        omegas,
+        output,
+        laws,
+        prestress,
+        strain,
+        rtol,
+        direct,
+        fields_at,
+        team_size,
+        resume,
+        overwrite,
+        out_of_core,
+        block_low_rank,
+    )
     fields_at = np.asarray(fields_at, dtype=float)
 
     def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
@@ -117,24 +129,39 @@ def sweep(
         jobs = list(_jobs(files, laws, prestress, together=not direct))
         there: set[tuple[str, str, bool]] = set()
         if resume and Path(output).exists():
-            wanted = [
-                {"strain": strain, "damping": str(law), "prestress": p} for law in laws for p in prestress
-            ]
+            wanted = [{"strain": strain, "damping": str(law), "prestress": p} for law in laws for p in prestress]
             there = done(output, wanted, omegas, fields_at, None if direct else rtol)
         return jobs, there
 
     def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, ComplexModulus]]:
         return _solve(
-            job, team, omegas, strain, rtol, direct, fields_at, report,
-            out_of_core=out_of_core, block_low_rank=block_low_rank,
-        )  # fmt: skip
+            job,
+            team,
+            omegas,
+            strain,
+            rtol,
+            direct,
+            fields_at,
+            report,
+            out_of_core=out_of_core,
+            block_low_rank=block_low_rank,
+        )
 
     with claimed(output, comm):
         jobs, there = on_root(comm, plan)
         return _run(
-            jobs, there, output, solve, _Line(), comm=comm, team_size=team_size, resume=resume,
-            out_of_core=out_of_core, progress=progress, log=log,
-        )  # fmt: skip
+            jobs,
+            there,
+            output,
+            solve,
+            _Line(),
+            comm=comm,
+            team_size=team_size,
+            resume=resume,
+            out_of_core=out_of_core,
+            progress=progress,
+            log=log,
+        )
 
 
 def survey(
@@ -173,9 +200,7 @@ def survey(
             for item in inventory(output):
                 if item.made_with != wanted:
                     own = item.made_with or "another verb"
-                    raise InputError(
-                        f"{output}: {item.name} was made by {own}, not {wanted}; cannot be resumed"
-                    )
+                    raise InputError(f"{output}: {item.name} was made by {own}, not {wanted}; cannot be resumed")
                 there.add((item.checksum, item.damping, item.prestress))
         return jobs, there
 
@@ -183,17 +208,34 @@ def survey(
         packing: Packing = on_root(team.comm, import_packing, job.file)
         for law, name in job.groups.items():
             with naming(job.file):
-                yield name, analyse(
-                    packing, **settings, **({} if law is None else {"damping": law}), prestress=job.prestress,
-                    comm=team.comm, name=job.name, progress=report,
-                )  # fmt: skip
+                yield (
+                    name,
+                    analyse(
+                        packing,
+                        **settings,
+                        **({} if law is None else {"damping": law}),
+                        prestress=job.prestress,
+                        comm=team.comm,
+                        name=job.name,
+                        progress=report,
+                    ),
+                )
 
     with claimed(output, comm):
         jobs, there = on_root(comm, plan)
         return _run(
-            jobs, there, output, solve, lambda name, result, seconds: f"{name}: {seconds:.1f} s", comm=comm,
-            team_size=team_size, resume=resume, made_with=wanted, progress=progress, log=log,
-        )  # fmt: skip
+            jobs,
+            there,
+            output,
+            solve,
+            lambda name, result, seconds: f"{name}: {seconds:.1f} s",
+            comm=comm,
+            team_size=team_size,
+            resume=resume,
+            made_with=wanted,
+            progress=progress,
+            log=log,
+        )
 
 
 def _plainly(value: Any) -> str:
@@ -235,17 +277,17 @@ def _run(
             for k, job in enumerate(mine):
                 report = part(progress, k, len(mine), f"{job.name}: ") if progress else None
                 if job.particles >= LARGE and team.comm.rank == 0:
-                    log(f"{job.name}: {job.particles} disks, a factor of about "
-                        f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks")  # fmt: skip
+                    log(
+                        f"{job.name}: {job.particles} disks, a factor of about "
+                        f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks"
+                    )
                 start = time.perf_counter()
                 try:
                     check(team.comm)
                     for name, result in solve(job, team, report):
                         if name not in job.missing(there):
                             continue
-                        on_root(
-                            team.comm, _store, result, output, name, run, resume, team.count > 1, made_with
-                        )
+                        on_root(team.comm, _store, result, output, name, run, resume, team.count > 1, made_with)
                         made += team.comm.rank == 0
                         if team.comm.rank == 0:
                             log(line(name, result, time.perf_counter() - start))
@@ -311,15 +353,25 @@ def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
 
 
 def _solve(
-    job: Job, team: Team, omegas: Array, strain: str, rtol: float, direct: bool, fields_at: Array,
-    report: Report | None, **solver: Any,
-) -> Iterator[tuple[str, ComplexModulus]]:  # fmt: skip
+    job: Job,
+    team: Team,
+    omegas: Array,
+    strain: str,
+    rtol: float,
+    direct: bool,
+    fields_at: Array,
+    report: Report | None,
+    **solver: Any,
+) -> Iterator[tuple[str, ComplexModulus]]:
     """Yield the results of ``job`` by name."""
     packing: Packing = on_root(team.comm, import_packing, job.file)
     common: dict[str, Any] = {
-        "strain": strain, "prestress": job.prestress, "comm": team.comm, "name": job.name,
+        "strain": strain,
+        "prestress": job.prestress,
+        "comm": team.comm,
+        "name": job.name,
         "progress": report,
-    }  # fmt: skip
+    }
     first = next(iter(job.groups))
     with naming(job.file):
         if direct:
@@ -332,15 +384,16 @@ def _solve(
             betas = [law.tangential for law in job.groups]
             member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
             for law, name in job.groups.items():
-                yield name, member(law.tangential).sample(omegas, fields_at)
+                yield name, ComplexModulus.sampled(member(law.tangential), omegas, fields_at)
         elif isinstance(first, StokesDrag) and strain_mode(strain).shears_fluid:
             # the fluid adds to |G*|: the least of it asks most of the model
             model = spectrum(packing, span, damping=min(job.groups, key=lambda law: law.fluid), **common)
             for law, name in job.groups.items():
-                yield name, model.with_fluid(law.fluid).sample(omegas, fields_at)
+                yield name, ComplexModulus.sampled(model.with_fluid(law.fluid), omegas, fields_at)
         else:
             for law, name in job.groups.items():
-                yield name, spectrum(packing, span, damping=law, **common).sample(omegas, fields_at)
+                model = spectrum(packing, span, damping=law, **common)
+                yield name, ComplexModulus.sampled(model, omegas, fields_at)
 
 
 def _store(
@@ -428,10 +481,14 @@ def average(
     if several:
         scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
     return Average(
-        omega, values.mean(0), scatter, scatter / np.sqrt(n), n,
+        omega,
+        values.mean(0),
+        scatter,
+        scatter / np.sqrt(n),
+        n,
         excluded=tuple(name for name in results if name not in kept),
         unbalanced=tuple(name for name, g in kept.items() if g.packing.get("balanced") is False),
-    )  # fmt: skip
+    )
 
 
 def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool = False) -> None:

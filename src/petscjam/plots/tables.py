@@ -13,11 +13,11 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.errors import InputError
+from petscjam.base.errors import InputError
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.packing import Packing
 from petscjam.md.result import Run
-from petscjam.network import ContactNetwork
-from petscjam.packing.library import Library
-from petscjam.packing.packing import Packing
+from petscjam.preparation.library import Library
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
@@ -114,10 +114,18 @@ def describe_library(library: Library) -> str:
 
 
 MEANS = {
-    "P elastic": "pressure_elastic", "Σ elastic": "stress_elastic", "P": "pressure", "Σ": "stress",
-    "μ": "friction", "ηp": "pressure_viscosity", "ησ": "viscosity", "Bp": "pressure_bagnold",
-    "Bσ": "bagnold", "Z": "contacts", "Rv": "banding",
-}  # fmt: skip
+    "P elastic": "pressure_elastic",
+    "Σ elastic": "stress_elastic",
+    "P": "pressure",
+    "Σ": "stress",
+    "μ": "friction",
+    "ηp": "pressure_viscosity",
+    "ησ": "viscosity",
+    "Bp": "pressure_bagnold",
+    "Bσ": "bagnold",
+    "Z": "contacts",
+    "Rv": "banding",
+}
 
 
 def describe_run(run: Run) -> str:
@@ -129,7 +137,7 @@ def describe_run(run: Run) -> str:
         f"{s['protocol']}, dt = {s['dt']:.4g}, {s['integrator']}; start: {s['start']}",
         f"strain {s['strain0']:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
-    ]  # fmt: skip
+    ]
     kept = run.after()
     if kept.sum() > 1:
         for name, what in MEANS.items():
@@ -192,12 +200,13 @@ def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mappi
     width = max(len(name) for name in results)
     rows = {
         name: {
-            "N": f"{r.packing['particles']}", "p": f"{r.packing['pressure']:.3e}",
+            "N": f"{r.packing['particles']}",
+            "p": f"{r.packing['pressure']:.3e}",
             "pre-stress": "with" if r.prestress else "without",
             **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in columns(r).items()},
         }
         for name, r in results.items()
-    }  # fmt: skip
+    }
     heads = {key: max(len(key), *(len(row[key]) for row in rows.values())) for key in rows[next(iter(rows))]}
     lines = [header, " ".join([f"{'packing':{width}}", *(f"{key:>{w}}" for key, w in heads.items())])]
     for name, row in rows.items():
@@ -210,15 +219,18 @@ def _nonaffine(r: QuasistaticResponse) -> dict[str, float | str]:
     medians = {f"median {motion}": float(np.median(r.sizes(motion))) for motion in MOTIONS}
     means = {f"mean {motion}": float(r.sizes(motion).mean()) for motion in MOTIONS}
     return {
-        "G0": r.shear_modulus, "stretching": r.stretching, "pre-stress term": r.pre_stress,
-        **medians, **means, "residual": f"{r.residual:.0e}", "state": r.state,
-    }  # fmt: skip
+        "G0": r.shear_modulus,
+        "stretching": r.stretching,
+        "pre-stress term": r.pre_stress,
+        **medians,
+        **means,
+        "residual": f"{r.residual:.0e}",
+        "state": r.state,
+    }
 
 
 def _viscosity(r: Viscosity) -> dict[str, float | str]:
-    return {
-        "law": str(r.damping), "eta0": r.eta0, "G0": r.G0, "residual": f"{r.residual:.0e}", "state": r.state,
-    }  # fmt: skip
+    return {"law": str(r.damping), "eta0": r.eta0, "G0": r.G0, "residual": f"{r.residual:.0e}", "state": r.state}
 
 
 PROVED = {True: "proved", None: "not known"}
@@ -226,12 +238,16 @@ PROVED = {True: "proved", None: "not known"}
 
 def _modes(r: Modes) -> dict[str, float | str]:
     return {
-        "modes": f"{len(r.eigenvalues)}", "lowest": r.eigenvalues[0], "highest": r.eigenvalues[-1],
+        "modes": f"{len(r.eigenvalues)}",
+        "lowest": r.eigenvalues[0],
+        "highest": r.eigenvalues[-1],
         "median floppiness": float(np.median(r.floppiness)),
         "median participation": float(np.median(r.participation)),
-        "G_affine": r.G_affine, "softening": float(r.softening.sum()),
-        "residual": f"{r.residuals.max():.0e}", "complete": PROVED.get(r.complete, "not known"),
-    }  # fmt: skip
+        "G_affine": r.G_affine,
+        "softening": float(r.softening.sum()),
+        "residual": f"{r.residuals.max():.0e}",
+        "complete": PROVED.get(r.complete, "not known"),
+    }
 
 
 def _rebuilt(r: Rebuilt) -> dict[str, float | str]:
@@ -241,33 +257,49 @@ def _rebuilt(r: Rebuilt) -> dict[str, float | str]:
 
 def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
     return {
-        "law": str(r.damping), "modes": f"{len(r.times)}", "slowest": r.times[0], "fastest": r.times[-1],
-        "weights": float(r.weights.sum()), "residual": f"{r.residuals.max():.0e}",
+        "law": str(r.damping),
+        "modes": f"{len(r.times)}",
+        "slowest": r.times[0],
+        "fastest": r.times[-1],
+        "weights": float(r.weights.sum()),
+        "residual": f"{r.residuals.max():.0e}",
         "complete": PROVED.get(r.complete, "not known"),
-    }  # fmt: skip
+    }
 
 
 def _density(r: DensityOfStates) -> dict[str, float | str]:
     found = plateau(r)
     return {
-        "moments": f"{r.moments.shape[1]}", "vectors": f"{r.moments.shape[0]}", "highest": r.edge,
-        "plateau": found.height, "±": found.height_error, "onset": found.onset,
-    }  # fmt: skip
+        "moments": f"{r.moments.shape[1]}",
+        "vectors": f"{r.moments.shape[0]}",
+        "highest": r.edge,
+        "plateau": found.height,
+        "±": found.height_error,
+        "onset": found.onset,
+    }
 
 
 def _correlations(r: Correlations) -> dict[str, float | str]:
     low, high = (f"{r.length[k] / r.L:.4g}" for k in (np.argmin(r.omega), np.argmax(r.omega)))
     return {
-        "law": str(r.damping), "lane": r.width, "l/L at low omega": low, "at high": high,
-        "error": f"{r.errors.max():.0e}", "state": r.state,
-    }  # fmt: skip
+        "law": str(r.damping),
+        "lane": r.width,
+        "l/L at low omega": low,
+        "at high": high,
+        "error": f"{r.errors.max():.0e}",
+        "state": r.state,
+    }
 
 
 def _drag(r: NonlinearModulus) -> dict[str, float | str]:
     return {
-        "form": r.form, "alpha": r.alpha, "stress": r.stress, "most iterations": f"{r.iterations.max()}",
-        "converged": f"{r.converged.sum()} of {len(r.omega)}", "change": f"{r.changes.max():.0e}",
-    }  # fmt: skip
+        "form": r.form,
+        "alpha": r.alpha,
+        "stress": r.stress,
+        "most iterations": f"{r.iterations.max()}",
+        "converged": f"{r.converged.sum()} of {len(r.omega)}",
+        "change": f"{r.changes.max():.0e}",
+    }
 
 
 COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
@@ -324,8 +356,7 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
                 names = ("G0", "eta0", "G_inf", "eta_inf")
                 means = [float(take([getattr(g, name) for g in some])) for name in names]
                 lines.append(
-                    f"{label:{width}} {n:7d} {'':8} {pressure:>9} {'':6} "
-                    + " ".join(f"{_value(x):>12}" for x in means)
+                    f"{label:{width}} {n:7d} {'':8} {pressure:>9} {'':6} " + " ".join(f"{_value(x):>12}" for x in means)
                 )
     return "\n".join(lines)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from petscjam.errors import InputError, shown
+from petscjam.base.errors import InputError, shown
 
 try:
     import numba
@@ -62,9 +62,7 @@ def _forgiving(work: Callable[..., Any], clear: Callable[[], None]) -> Callable[
 
 
 def _warn(error: Exception) -> None:
-    text = (
-        f"numba's cache cannot be used ({type(error).__name__}: {error}); every start compiles for a minute"
-    )
+    text = f"numba's cache cannot be used ({type(error).__name__}: {error}); every start compiles for a minute"
     warnings.warn(text, RuntimeWarning, stacklevel=2)
 
 

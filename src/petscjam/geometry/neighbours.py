@@ -15,18 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.box import Array, Box, Integers
-from petscjam.compiled import njit
-from petscjam.errors import InputError
+from petscjam.base.compiled import njit
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.box import Box
 from petscjam.parallel.memory import available_memory
 
 CHUNK = 4096
 BYTES = 150  # of memory a pair, at the peak of ContactNetwork.of
 
 
-def pairs(
-    box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0
-) -> tuple[Integers, Integers, Array]:
+def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -> tuple[Integers, Integers, Array]:
     """Find every pair of disks, and of a disk and an image, with r ≤ ρi + ρj + ``skin``.
 
     Parameters
@@ -260,7 +259,7 @@ def find(x, lattice, radii, skin):
     x : (N, 2)
         The better they are sorted in space, the faster.
     lattice : (2, 2)
-        Rows are lattice vectors, at best the shortest (:attr:`petscjam.box.Box.reduced`).
+        Rows are lattice vectors, at best the shortest (:attr:`petscjam.geometry.box.Box.reduced`).
     radii : (N,)
     skin : float
 

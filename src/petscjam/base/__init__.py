@@ -1,0 +1,1 @@
+"""What every folder uses: errors, types, files, progress, interrupts, compiled functions."""

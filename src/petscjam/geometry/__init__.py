@@ -1,0 +1,1 @@
+"""Disks in a periodic cell: cells, potentials, neighbours, packings, contact networks."""

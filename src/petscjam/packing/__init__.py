@@ -1,1 +1,0 @@
-"""Packings: what one is, how it is prepared, how it is judged."""

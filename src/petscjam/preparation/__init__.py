@@ -1,0 +1,1 @@
+"""Packings made, minimised, certified, and collected in libraries."""

@@ -1,0 +1,1 @@
+"""The rows of every contact, and the damping laws that weigh them."""
