@@ -18,7 +18,7 @@ import numpy as np
 import petscjam as pj
 from petscjam.analysis.drag import equivalent_time
 from petscjam.analysis.scaling import power_law
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 EXPONENTS = {"2/3": 2 / 3, "1/2": 1 / 2}
 SIXTEEN = Path(__file__).parents[1] / "tests/data/jambashbulk-N16-P1e-3-0001.txt"

@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 import petscjam as pj
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 comm = MPI.COMM_WORLD
 packing = comm.bcast(pj.prepare_packing(n=64, pressure=1e-2, seed=2) if comm.rank == 0 else None)

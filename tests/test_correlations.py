@@ -17,7 +17,7 @@ from petscjam.analysis.correlations import (
     zero_crossing,
 )
 from petscjam.plots.correlations import plot_correlations
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 DATA = Path(__file__).parent / "data"
 CELLS = {

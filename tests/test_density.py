@@ -12,7 +12,7 @@ import petscjam as pj
 from petscjam.analysis import density
 from petscjam.analysis.density import DensityOfStates, density_of_states, highest, plateau
 from petscjam.plots.density import plot_density
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 any_prestress = pytest.mark.parametrize("prestress", [True, False])

@@ -11,7 +11,7 @@ import petscjam as pj
 from petscjam.analysis.contact_drag import contact_times, self_consistent_drag
 from petscjam.analysis.drag import equivalent_drag, equivalent_time, line_factor
 from petscjam.plots.drag import plot_drag
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 DATA = Path(__file__).parent / "data"
 OMEGA = np.array([1e-3, 1e-1, 10.0])

@@ -17,7 +17,7 @@ from petscjam.io.importers import import_packing
 from petscjam.io.lammps_shear import read_lammps, read_log, write_lammps
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import random_state
-from petscjam.reference.linear import md as reference_md
+from petscjam.reference import md as reference_md
 from petscjam.rows.damping import ContactDamping, StokesDrag
 
 pytestmark = pytest.mark.parallel(nprocs=1)

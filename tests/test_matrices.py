@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import SIMPLE_SHEAR, STRAINS, strain_mode

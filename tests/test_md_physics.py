@@ -15,7 +15,7 @@ from petscjam.md.kernels import TICKS
 from petscjam.md.model import INTEGRATORS, MODELS, Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state
-from petscjam.reference.linear import md as twin
+from petscjam.reference import md as twin
 
 EACH = pytest.mark.parametrize("integrator", INTEGRATORS)
 OTHERS = pytest.mark.parametrize(

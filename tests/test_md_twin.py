@@ -13,7 +13,7 @@ import petscjam as pj
 from petscjam.geometry.potential import power_law
 from petscjam.md.model import MODELS, Model
 from petscjam.md.state import State, cell_length
-from petscjam.reference.linear import md as twin
+from petscjam.reference import md as twin
 from petscjam.rows.damping import LAWS, viscous_form
 from petscjam.rows.kinematics import SIMPLE_SHEAR
 

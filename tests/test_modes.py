@@ -16,7 +16,7 @@ from petscjam.parallel.petsc import destroying, petsc
 from petscjam.preparation import certify as certify_module
 from petscjam.preparation.certify import below_all, certify, hessian, pivots_below
 from petscjam.preparation.certify import lowest_modes as lowest_of
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 from petscjam.response import modes as modes_module
 from petscjam.response import relaxations as relaxations_module
 from petscjam.response.modes import lowest_modes

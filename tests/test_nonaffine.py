@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import petscjam as pj
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
 

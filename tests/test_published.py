@@ -7,7 +7,7 @@ import pytest
 
 import petscjam as pj
 from petscjam.base.files import open_h5
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 
 DATA = Path(__file__).parent / "data"
 OMEGA = [1e-3, 1e-1, 1.0, 10.0]

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from test_published import OMEGA, PRINTED, TABLE
 
 import petscjam as pj
-from petscjam.reference.linear import linear as reference
+from petscjam.reference import linear as reference
 from petscjam.rows.damping import LAWS, DampingLaw
 from petscjam.rows.kinematics import STRAINS
 
