@@ -207,11 +207,12 @@ def stopped_at_random(verb, tmp_path, environment, signals, seed):
             time.sleep(0.01)
         return program
 
-    start = time.monotonic()
-    program = command(reference)
-    assert program.communicate()[1].count("Traceback") == 0
-    assert program.returncode == 0
-    longest = time.monotonic() - start
+    for _ in range(2):  # the first one may compile
+        clear(reference)
+        program, start = command(reference), time.monotonic()
+        assert program.communicate()[1].count("Traceback") == 0
+        assert program.returncode == 0
+        longest = time.monotonic() - start
     for number in signals:
         program = command(out, "--resume")
         time.sleep(draw.uniform(0, longest))
@@ -245,7 +246,7 @@ def listens(pid):
 
 def clear(path):
     for file in [*path.glob("*")] if path.is_dir() else [path]:
-        file.unlink()
+        file.unlink(missing_ok=True)
 
 
 @pytest.mark.parametrize("verb", VERBS)
