@@ -17,7 +17,6 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import blake2b
-from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -127,14 +126,6 @@ def check_folder(path: str | PathLike[str]) -> None:
 
 def _same(a: str | PathLike[str], b: str | PathLike[str]) -> bool:
     return os.path.exists(a) and os.path.exists(b) and os.path.samefile(a, b)
-
-
-def release(package: str) -> str:
-    """Return the version of an installed package, or ``unknown``."""
-    try:
-        return version(package)
-    except PackageNotFoundError:  # run from a source tree
-        return "unknown"
 
 
 def write_atomically(path: str | PathLike[str], data: bytes) -> None:

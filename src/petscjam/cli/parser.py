@@ -24,7 +24,7 @@ from petscjam.base.arguments import (
     whole,
 )
 from petscjam.base.errors import InputError
-from petscjam.base.files import release
+from petscjam.base.versions import release
 from petscjam.cli import analyses, shearing, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option

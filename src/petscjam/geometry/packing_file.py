@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from petscjam.base.errors import InputError
-from petscjam.base.files import atomic_h5, check_output, group, open_h5, release
+from petscjam.base.files import atomic_h5, check_output, group, open_h5
 from petscjam.base.types import Array
+from petscjam.base.versions import release
 
 if TYPE_CHECKING:
     import h5py

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.errors import InputError
-from petscjam.base.files import check_output, naming, release, write_atomically
+from petscjam.base.files import check_output, naming, write_atomically
 from petscjam.base.types import Array, Integers
+from petscjam.base.versions import release
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.io.gsd_file import gsd_library

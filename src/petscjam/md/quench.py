@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 from petscjam.base.errors import InputError
-from petscjam.base.files import release
 from petscjam.base.progress import Report
+from petscjam.base.versions import release
 from petscjam.geometry.packing import Packing
 from petscjam.md.result import Run
 from petscjam.md.state import State

@@ -15,10 +15,11 @@ import numpy as np
 from petscjam.base import ranges
 from petscjam.base.compiled import build, use_threads
 from petscjam.base.errors import DoubtfulWarning, InputError
-from petscjam.base.files import check_output, open_h5, release
+from petscjam.base.files import check_output, open_h5
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_ROWS, MOST_STEPS
+from petscjam.base.versions import release
 from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import protocols
 from petscjam.md.frames import frames_of, remove_frames

@@ -14,10 +14,10 @@ import numpy as np
 
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, SolverError, shown
-from petscjam.base.files import release
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
+from petscjam.base.versions import release
 from petscjam.geometry.box import Box
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
