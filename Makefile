@@ -9,7 +9,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
 READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-fresh lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
+.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -36,6 +36,13 @@ test-fast: $(READY) ## the serial ones of these only
 
 test-slow: $(READY) ## the slow tests
 	LIMIT=14400 tools/test.sh $(PYTHON) slow
+
+coverage: $(READY) ## which lines the tests run, as a table and in docs/_build/coverage (twice the time of make test)
+	rm -f .coverage .coverage.*
+	COVERAGE=1 tools/test.sh $(PYTHON) 'not slow'
+	$(PYTHON) -m coverage combine -q
+	$(PYTHON) -m coverage html -q
+	$(PYTHON) -m coverage report
 
 test-fresh: ## demo, lint and tests on bare Debian 12 and 13, both stacks (as root; an hour)
 	tools/test-fresh.sh

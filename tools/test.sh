@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Run the tests rank count by rank count: tools/test.sh PYTHON 'not slow'
+# COVERAGE=1 measures which lines they run.
 # mpi-pytest marks every test parallel[R]; one without @pytest.mark.parallel is parallel[1].
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,7 +10,7 @@ which=$2
 
 failed=()
 for ranks in ${RANKS:-1 2 3}; do
-    tests=("$PYTHON" -m pytest -m "parallel[$ranks] and $which")
+    tests=("$PYTHON" ${COVERAGE:+-m coverage run} -m pytest -m "parallel[$ranks] and $which")
     echo "== tests on $ranks rank(s), $which"
     status=0
     launch=()
