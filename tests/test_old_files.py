@@ -153,9 +153,7 @@ def test_a_spectrum_is_read_as_moduli():
         compare(g.packing, expected["packing"], "packing")
 
 
-@pytest.mark.xfail(
-    raises=pj.InputError, reason="a run is refused unless it has every row that is written today"
-)
+@pytest.mark.xfail(raises=pj.InputError, reason="a run is refused unless it has every row that is written today")
 def test_a_run_with_fewer_rows_is_read():
     check(FEWER, pj.md.read(FORMATS / FEWER))
 
