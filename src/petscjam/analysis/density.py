@@ -27,7 +27,7 @@ from petscjam.parallel.petsc import destroying, stage
 from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
-from petscjam.rows.kinematics import SIMPLE_SHEAR
+from petscjam.rows.kinematics import SIMPLE_SHEAR, displacements
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ
@@ -160,7 +160,7 @@ def density_of_states(
     if modes == 0:
         raise InputError("packing: one disk has no modes beside translations")
     bound = highest(problem.backbone)
-    dofs = problem.number(np.outer(backbone, [True, True, False]))
+    dofs = problem.number(displacements(backbone))
     found = np.empty((vectors + vectors % 2, moments))
     with assembled(problem.K, problem.B, dofs, comm) as pencil:
         twice_X = pencil.combine(-4 / bound, 0)

@@ -18,7 +18,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork, rounded
 from petscjam.geometry.packing import Certificate, Packing
-from petscjam.rows.kinematics import SIMPLE_SHEAR, Form, StrainMode, elastic_form
+from petscjam.rows.kinematics import SIMPLE_SHEAR, StrainMode, displacements, elastic_form
 
 EPS = float(np.finfo(float).eps)
 EIGENVALUES = 4
@@ -44,15 +44,9 @@ def _elasticity(network: ContactNetwork, prestress: bool, strains: list[StrainMo
     network = network.without_rattlers()
     everybody = np.ones(len(network.radii), dtype=bool)
     K = elastic_form(network, everybody, strains, prestress=prestress)
-    displacements = np.flatnonzero(np.outer(network.backbone, [True, True, False]))
-    a, w = K.strain_rows, K.weights[:, None]
-    return matrix(K, displacements), K.rows[:, displacements].T @ (w * a), a.T @ (w * a) + K.extra
-
-
-def matrix(form: Form, unknowns: Integers) -> csc_array:
-    """Return the matrix of a form without drag on ``unknowns``, places among all degrees of freedom."""
-    A = form.rows[:, unknowns]
-    return (A.T @ A.multiply(form.weights[:, None])).tocsc()
+    matrix, coupling = K.matrices(np.flatnonzero(displacements(network.backbone)))
+    a = K.strain_rows
+    return matrix.tocsc(), coupling, a.T @ (K.weights[:, None] * a) + K.extra
 
 
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:

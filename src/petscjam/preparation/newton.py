@@ -14,7 +14,7 @@ from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying
 from petscjam.parallel.solver import direct_solver
 from petscjam.preparation.minimise import METHODS, Enthalpy, Goal
-from petscjam.rows.kinematics import StrainMode, elastic_form
+from petscjam.rows.kinematics import StrainMode, displacements, elastic_form
 
 SHIFT = 1e-10  # in units of the largest stiffness
 PATIENCE = 3
@@ -91,12 +91,9 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
     n = len(x)
     modes = [StrainMode("", E) for E in h.strains]
     K = elastic_form(network, np.ones(n, dtype=bool), modes, prestress=True)
-    A = K.rows[:, np.arange(3 * n) % 3 < 2]
-    weighted = A.multiply(K.weights[:, None]).tocsr()
-    H = (A.T @ weighted).tocsr()
+    H, across = K.matrices(np.flatnonzero(displacements(K.my_disks)))
     H.setdiag(H.diagonal() + SHIFT * network.stiffness.max())
     H.sort_indices()
-    across = weighted.T @ K.strain_rows
     rhs = np.column_stack([-_pulled(g[: 2 * n], F), -across])
     matrix = symmetric_matrix(H.indptr, H.indices, H.data, 2 * n, MPI.COMM_SELF)
     with destroying(matrix), direct_solver(MPI.COMM_SELF, "petscjam_newton_", definite=False) as solver:
@@ -140,7 +137,7 @@ def _contacts(h: Enthalpy, x: Array, F: Array) -> tuple[ContactNetwork, float]:
     r = x[j] - x[i]
     r[runs[-1] :] += images.view(float).reshape(-1, 2)
     r = r @ F.T
-    touching = np.hypot(r[:, 0], r[:, 1]) < sigma
+    touching = np.hypot(r[:, 0], r[:, 1]) <= sigma
     i, j, r, sigma = i[touching], j[touching], r[touching], sigma[touching]
     distance, law = np.hypot(r[:, 0], r[:, 1]), h.packing.potential
     area = h.cell[3] * float(np.linalg.det(F))

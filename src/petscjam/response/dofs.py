@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.base.types import Integers
+from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import total
-from petscjam.rows.kinematics import Field, Form
-
-Mask = NDArray[np.bool_]
+from petscjam.rows.kinematics import Field, Form, Mask, translations
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +88,11 @@ class Dofs:
         ends = np.cumsum(self.counts)
         return int(ends[rank] - self.counts[rank]), int(ends[rank])
 
-    def scatter(self, field: Field, rank: int) -> NDArray:
+    def scatter(self, field: NDArray[Any], rank: int) -> NDArray[Any]:
         """Return this rank's unknowns out of ``field`` (N, 3)."""
         start, stop = self.rows_of(rank)
         mine = (self.index >= start) & (self.index < stop)
-        values = np.empty(stop - start, dtype=complex)
+        values = np.empty(stop - start, dtype=field.dtype)
         values[self.index[mine] - start] = field[mine]
         return values
 
@@ -123,20 +121,19 @@ def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Any) -> Mask:
     return active
 
 
-def free_motions(network: ContactNetwork) -> list[Field]:
+def free_motions(network: ContactNetwork) -> list[Array]:
     """Return the joint motions (N, 3) that K ignores: two translations, and the gears' rotation.
 
     Disks of alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of
     contacts is odd; if one is, what is returned slides there, and B sees it.
     """
     n = len(network.radii)
-    motions = [np.tile(direction, (n, 1)) for direction in np.eye(3)[:2]]
     gears = np.zeros((n, 3))
     gears[:, 2] = _alternating(network) * network.mean_diameter / network.radii
-    return [*motions, gears]
+    return [*translations(n), gears]
 
 
-def sees(B: Form, motion: Field, comm: Any) -> bool:
+def sees(B: Form, motion: NDArray[Any], comm: Any) -> bool:
     """Tell whether B resists ``motion``, beyond rounding."""
     still = np.zeros(len(B.extra))
     dissipated = total(comm, B.product((motion, still), (motion, still))).real

@@ -16,10 +16,10 @@ from petscjam.base.errors import SolverError
 from petscjam.geometry.network import rounded
 from petscjam.parallel.comm import total
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.response.dofs import free_motions, sees
+from petscjam.response.dofs import sees
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
-from petscjam.rows.kinematics import Field, Motion
+from petscjam.rows.kinematics import Field, Motion, displacements, translations
 
 LARGEST_RESIDUAL = 1e-8
 SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
@@ -119,11 +119,10 @@ def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> b
 def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
     """Let what costs no energy follow ``motion`` with the least dissipation; return the residual, too."""
     q, s = motion
-    translations = [e for e in free_motions(problem.network)[:2] if sees(problem.B, e, problem.comm)]
-    follow = problem.active.copy()
-    follow[problem.backbone.backbone, :2] = False
+    moves = [e for e in translations(len(problem.packing)) if sees(problem.B, e, problem.comm)]
+    follow = problem.active & ~displacements(problem.backbone.backbone)
     starts: list[Motion] = [(q, s)]
-    starts += [(e * problem.backbone.backbone[:, None] + 0j, np.zeros_like(s)) for e in translations]
+    starts += [(e * problem.backbone.backbone[:, None] + 0j, np.zeros_like(s)) for e in moves]
     motions, residual = _follow(problem, follow, starts) if follow.any() else (starts, 0.0)
     (q, s), shifts = motions[0], motions[1:]
     if shifts:

@@ -95,7 +95,7 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Any, *further: Form) -> Iterat
 
 def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Any) -> Pencil:
     start, stop = dofs.rows_of(comm.rank)
-    (K, k), (B, b), *further = (_own_rows(form, dofs, start, stop) for form in forms)
+    (K, k), (B, b), *further = (form.matrices(dofs.flat, slice(start, stop)) for form in forms)
     both = (K + 1j * B).tocsr()  # K and B are real: as K + iB they share one pattern
     both.sort_indices()
     values = [both.data.real, both.data.imag, *(_on_pattern(rows, both) for rows, _ in further)]
@@ -117,16 +117,3 @@ def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray:
     values = np.zeros(len(wanted))
     values[here[kept]] = rows.data[kept]
     return values
-
-
-def _own_rows(form: Form, dofs: Dofs, start: int, stop: int) -> tuple[csr_array, NDArray]:
-    """Return this rank's rows of Σ AᵀwA + body, and of Σ Aᵀwa."""
-    A = form.rows[:, dofs.flat]
-    mine = A[:, start:stop].T.tocsr()
-    body = np.zeros(stop - start)
-    own = dofs.index[form.my_disks, :2]
-    body[own[own >= 0] - start] = form.body
-    here = np.arange(stop - start)
-    drag = csr_array((body, (here, here + start)), shape=(stop - start, dofs.size))
-    weighted = A.multiply(form.weights[:, None]).tocsr()
-    return mine @ weighted + drag, mine @ (form.weights[:, None] * form.strain_rows)

@@ -29,7 +29,7 @@ from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
-from petscjam.rows.kinematics import contact_rows, strain_mode
+from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
@@ -175,7 +175,7 @@ def lowest_modes(
     problem = LinearProblem(packing, ContactDamping(), [mode], prestress, comm)
     network = problem.backbone
     check(count, network)
-    dofs = problem.number(np.outer(network.backbone, [True, True, False]))
+    dofs = problem.number(displacements(network.backbone))
     needs = check_memory(comm, dofs.size)
     if progress:
         progress(0.0, needs)
@@ -249,7 +249,7 @@ def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray) -> Array:
 def _rows(network: ContactNetwork, strain: str) -> tuple[csr_array, Array]:
     """Return the rows of Δu∥ and Δu⊥, in turn, over the backbone's displacements, and what strain adds."""
     rows, affine = contact_rows(network, [strain_mode(strain)], at_contact_point=False)
-    return rows[:, np.flatnonzero(np.outer(network.backbone, [True, True, False]))], affine[:, 0]
+    return rows[:, np.flatnonzero(displacements(network.backbone))], affine[:, 0]
 
 
 def probe(dofs: Dofs, rank: int) -> Array:
@@ -264,12 +264,10 @@ def _searched(problem: LinearProblem, pencil: Pencil, count: int, stiffest: floa
     shift = -BELOW * stiffest
     if problem.negative_modes != 0:
         shift = on_root(comm, lambda: below_all(hessian(network, problem.prestress)))
-    start, stop = pencil.dofs.rows_of(comm.rank)
-    components = pencil.dofs.flat[start:stop] % 3
-    translations = [(components == x) * (size / 2) ** -0.5 for x in range(2)]
+    rigid = [pencil.dofs.scatter(e, comm.rank) * (size / 2) ** -0.5 for e in translations(len(problem.packing))]
 
     def search(wanted: int, known: Array | None) -> Pairs:
-        found = lowest_pairs(pencil.K, wanted, shift, leave_out=translations, known=known)
+        found = lowest_pairs(pencil.K, wanted, shift, leave_out=rigid, known=known)
         if progress:
             progress(0.8, f"{len(found.values)} modes, residual {found.residuals.max():.0e}")
         return found
@@ -288,9 +286,9 @@ def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> 
 
     def solve() -> tuple[Array, Array, Array]:
         K = hessian(problem.backbone, problem.prestress)
-        translations = np.tile(np.eye(2), (int(backbone.sum()), 1)) / np.sqrt(backbone.sum())
+        rigid = np.tile(np.eye(2), (int(backbone.sum()), 1)) / np.sqrt(backbone.sum())
         above = 2 * abs(K).sum(0).max()
-        values, vectors = eigh(K.toarray() + above * translations @ translations.T)
+        values, vectors = eigh(K.toarray() + above * rigid @ rigid.T)
         last = values[count - 1]
         some = values <= last + max(EQUAL * abs(last), least)
         values, vectors = values[some], vectors[:, some]
@@ -298,10 +296,10 @@ def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> 
 
     start = time.perf_counter()
     values, vectors, residuals = on_root(comm, solve)
-    field = np.zeros((len(backbone), 3), dtype=complex)
+    field = np.zeros((len(backbone), 3))
     local = np.empty((pencil.dofs.counts[comm.rank], len(values)))
     for m in range(len(values)):
         field[backbone, :2] = vectors[:, m].reshape(-1, 2)
-        local[:, m] = pencil.dofs.scatter(field, comm.rank).real
+        local[:, m] = pencil.dofs.scatter(field, comm.rank)
     performance = {"eigensolves": 1, "eigensolve_seconds": time.perf_counter() - start, "count_seconds": 0.0}
     return Search(Pairs(values, local, residuals), True, [], performance)

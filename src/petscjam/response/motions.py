@@ -17,11 +17,11 @@ from petscjam.base.types import Array
 from petscjam.parallel.comm import total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.solver import DirectSolver
-from petscjam.response.dofs import connected, free_motions, sees
+from petscjam.response.dofs import connected, sees
 from petscjam.response.limits import LARGEST_RESIDUAL
 from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
-from petscjam.rows.kinematics import Motion
+from petscjam.rows.kinematics import Motion, translations
 
 NEW = 1e-10  # part of a vector outside the others, below which it is rounding
 ROUNDING = 1e-13  # residual, relative to ‖A‖‖x‖, that a stable solve may leave: soft motions make x large
@@ -69,11 +69,11 @@ class Motions:
     def _unseen_by_K(self) -> list[tuple[Array, Array, float]]:
         """Return translations of connected disks that B sees, B times them, and their friction."""
         problem, found = self.problem, []
-        for motion in free_motions(problem.network)[:2]:
+        for motion in translations(len(problem.packing)):
             if not sees(problem.B, motion, problem.comm):
                 continue
             for disks in connected(problem.network):
-                e = self.pencil.dofs.scatter(motion * problem.active * disks[:, None], problem.comm.rank).real
+                e = self.pencil.dofs.scatter(motion * problem.active * disks[:, None], problem.comm.rank)
                 Be = self.apply(self.pencil.B, e + 0j).real
                 found.append((e, Be, float(self.dot(e, Be))))
         return found

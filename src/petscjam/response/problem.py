@@ -14,10 +14,10 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.memory import give_back_memory
-from petscjam.preparation.certify import dependent_rows, matrix, modes
-from petscjam.response.dofs import Dofs, Mask, Ownership, unknowns
+from petscjam.preparation.certify import dependent_rows, modes
+from petscjam.response.dofs import Dofs, Ownership, unknowns
 from petscjam.rows.damping import DampingLaw, viscous_form
-from petscjam.rows.kinematics import Field, Form, Motion, StrainMode, elastic_form
+from petscjam.rows.kinematics import Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
 
 NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
@@ -66,7 +66,7 @@ class LinearProblem:
         self.active: Mask = unknowns(self.K, self.B, self.network, comm)
         if not (prestress or law.body) and self.zero_modes:
             self.active &= ~self._unresisted()
-        self.pinned_backbone: Mask = self.backbone.backbone[:, None] & np.array([True, True, False])
+        self.pinned_backbone = displacements(self.backbone.backbone)
         self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
         self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
@@ -118,7 +118,7 @@ class LinearProblem:
             everybody = np.ones(len(self.packing), dtype=bool)
             K = elastic_form(self.network, everybody, self.strains, prestress=False)
             B = viscous_form(self.network, everybody, self.strains, self.law)
-            return dependent_rows(matrix(K, places) / self.rate + matrix(B, places))
+            return dependent_rows(K.matrices(places)[0] / self.rate + B.matrices(places)[0])
 
         held = np.zeros(self.active.size, dtype=bool)
         held[places[on_root(self.comm, rows)]] = True

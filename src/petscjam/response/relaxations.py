@@ -24,12 +24,12 @@ from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.preparation.certify import matrix, negative_pivots, pivots_below
+from petscjam.preparation.certify import negative_pivots, pivots_below
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
-from petscjam.rows.kinematics import elastic_form, strain_mode
+from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
@@ -242,7 +242,7 @@ def _slower(problem: LinearProblem, tau: float, room: float) -> int:
     unknowns = np.flatnonzero(problem.active)
     K = elastic_form(problem.network, everybody, problem.strains, prestress=problem.prestress)
     B = viscous_form(problem.network, everybody, problem.strains, problem.law)
-    K, B = (matrix(form, unknowns) for form in (K, B))
+    K, B = (form.matrices(unknowns)[0] for form in (K, B))
     scale = max(abs(tau), room)
     both = scale * K + B
     root = dia_array((both.diagonal()[None] ** -0.5, [0]), shape=both.shape)
@@ -290,8 +290,8 @@ class _Following:
 @contextmanager
 def _eliminated(pencil: Pencil, comm: Any) -> Iterator[_Eliminated]:
     PETSc = petsc()
-    start, stop = pencil.dofs.rows_of(comm.rank)
-    moves = pencil.dofs.flat[start:stop] % 3 < 2
+    start, _ = pencil.dofs.rows_of(comm.rank)
+    moves = pencil.dofs.scatter(displacements(np.ones(len(pencil.dofs.index), dtype=bool)), comm.rank)
     u, r = (
         PETSc.IS().createGeneral((start + np.flatnonzero(which)).astype(PETSc.IntType), comm=comm)
         for which in (moves, ~moves)

@@ -22,10 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from petscjam.base.errors import InputError
-from petscjam.base.types import Array
+from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 
 Field = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 Motion = tuple[Field, ArrayLike]  # (q, s): every disk beyond the affine motion, and the strains
 
 
@@ -98,8 +99,8 @@ class Form:
     weights: Array
     body: float
     extra: Array
-    mine: NDArray[np.bool_]
-    my_disks: NDArray[np.bool_]
+    mine: Mask
+    my_disks: Mask
 
     def relative(self, q: Field, s: ArrayLike) -> Field:
         """Return Δu∥ and Δu⊥ of each contact, (A,), for the motion ``q`` (N, 3) at strains ``s`` (S,)."""
@@ -125,6 +126,41 @@ class Form:
         total = (self.rows.power(2).T @ (self.mine * np.abs(self.weights))).reshape(-1, 3)
         total[self.my_disks, :2] += self.body
         return total
+
+    def matrices(self, unknowns: Integers, own: slice = slice(None)) -> tuple[csr_array, Array]:
+        """Assemble Σ_a w_a A_aᵀA_a + body and the coupling Σ_a w_a A_aᵀa_a to the strains.
+
+        Parameters
+        ----------
+        unknowns : (n,)
+            Places 3i + d among all degrees of freedom.
+        own : slice
+            The unknowns whose rows are assembled; all of them must be of ``my_disks``.
+
+        Returns
+        -------
+        matrix : sparse (rows, n)
+        coupling : (rows, S)
+        """
+        A = self.rows[:, unknowns]
+        weighted = A.multiply(self.weights[:, None]).tocsr()
+        matrix = A[:, own].T.tocsr() @ weighted
+        if self.body:
+            first = own.start or 0
+            moves = np.flatnonzero(unknowns[own] % 3 < 2)
+            drag = np.full(len(moves), self.body)
+            matrix = matrix + csr_array((drag, (moves, moves + first)), shape=matrix.shape)
+        return matrix, weighted[:, own].T @ self.strain_rows
+
+
+def displacements(disks: Mask) -> Mask:
+    """Mark ux and uy, and not θ, of the marked ``disks`` (N,): (N, 3)."""
+    return np.outer(disks, [True, True, False])
+
+
+def translations(n: int) -> list[Array]:
+    """Return the translations of all of ``n`` disks along x and y, (N, 3) each."""
+    return [np.tile(direction, (n, 1)) for direction in np.eye(3)[:2]]
 
 
 def contact_rows(
@@ -155,7 +191,7 @@ def contact_rows(
 
 def form(
     network: ContactNetwork,
-    my_disks: NDArray[np.bool_],
+    my_disks: Mask,
     strains: Sequence[StrainMode],
     weights: Array,
     *,
@@ -171,9 +207,7 @@ def form(
     return Form(rows, strain_rows, weights[touching].ravel(), body, extra, mine, my_disks)
 
 
-def elastic_form(
-    network: ContactNetwork, my_disks: NDArray[np.bool_], strains: Sequence[StrainMode], *, prestress: bool
-) -> Form:
+def elastic_form(network: ContactNetwork, my_disks: Mask, strains: Sequence[StrainMode], *, prestress: bool) -> Form:
     """Return K: stiffness k on Δu∥ and, with pre-stress, −f/r on Δu⊥ (BT eq. 4)."""
     transverse = -network.force / network.distance * prestress
     weights = np.stack([network.stiffness, transverse], axis=1)
