@@ -11,6 +11,7 @@ from contextlib import contextmanager, nullcontext
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.errors import SolverError
@@ -18,9 +19,12 @@ from petscjam.base.interrupt import check
 from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
 
+Complex = NDArray[np.complex128]
 OUT_OF_WORKSPACE = (-8, -9)
 LARGEST_WORKSPACE = 2000  # ICNTL(14), per cent above the estimate
 GOOD_RESIDUAL = 1e-12
+LARGEST_RESIDUAL = 1e-8  # a solution that leaves more is refused
+ROUNDING = 1e-13  # residual of a stable solve, relative to ‖A‖‖x‖
 
 
 class DirectSolver:
@@ -73,10 +77,34 @@ class DirectSolver:
         if self._code() < 0:
             raise SolverError(f"MUMPS could not factor the matrix: {_advice(self._code(), self._factor())}")
 
-    def solve(self, rhs: NDArray) -> tuple[NDArray, float]:
-        """Solve for the local rows ``rhs``; return the local rows of x and ‖Ax − f‖/‖f‖.
+    def solve(
+        self, rhs: NDArray[Any], cause: str = "", *, soft: bool = False, largest: float = LARGEST_RESIDUAL
+    ) -> tuple[Complex, float]:
+        """Solve Ax = f, refined while its residual is above 1e-12 and falls by half.
 
-        Where the residual is not yet at rounding, it is refined as long as that helps.
+        Parameters
+        ----------
+        rhs : (n,)
+            This rank's rows of f.
+        cause : str
+            What a large residual means; left out, what the solver knows.
+        soft : bool
+            Whether soft motions may make x large: a residual of 1e-13 ‖A‖‖x‖, which a stable solve may leave,
+            is then accepted, too.
+        largest : float
+            Largest ‖Ax − f‖/‖f‖; infinite where the caller judges the solution.
+
+        Returns
+        -------
+        x : (n,)
+            This rank's rows.
+        residual : float
+            ‖Ax − f‖/‖f‖.
+
+        Raises
+        ------
+        SolverError
+            If the solve fails or leaves a larger residual.
         """
         if self._A.size[0] == 0:
             return rhs, 0.0
@@ -95,10 +123,13 @@ class DirectSolver:
                     self.ksp.solve(r, correction)
                     x.axpy(1.0, correction)
                 residual = self._residual(x, f, r) / norm
+            accepted = max(largest, ROUNDING * self._A.norm() * x.norm() / norm) if soft else largest
+            if not (residual < accepted or largest == np.inf):
+                raise SolverError(f"{cause or self._weakness}: a solve leaves the residual {residual:.1e}")
             return x.array.copy(), float(residual)
 
     @property
-    def weakness(self) -> str:
+    def _weakness(self) -> str:
         """What makes a residual large."""
         compressed = "the factor is compressed too far, or " if self._block_low_rank else ""
         return f"{compressed}there are motions that nothing resists"

@@ -277,7 +277,7 @@ def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
     with destroying(matrix), direct_solver(MPI.COMM_SELF, "petscjam_certify_", definite=False) as solver:
         solver.factor(matrix)
         for s in range(len(GRADIENTS)):
-            u[2:, s] = -solver.solve(across[2:, s])[0].real
+            u[2:, s] = -solver.solve(across[2:, s], soft=True)[0].real
     return (own + across.T @ u) / network.area, u.reshape(-1, 2, len(GRADIENTS))
 
 

@@ -98,7 +98,7 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
     matrix = symmetric_matrix(H.indptr, H.indices, H.data, 2 * n, MPI.COMM_SELF)
     with destroying(matrix), direct_solver(MPI.COMM_SELF, "petscjam_newton_", definite=False) as solver:
         solver.factor(matrix)
-        u = np.stack([solver.solve(column)[0].real for column in rhs.T], axis=1)
+        u = np.stack([solver.solve(column, largest=np.inf)[0].real for column in rhs.T], axis=1)
     d = u[:, 0]
     change = np.zeros((2, 2))
     if modes and h.target is not None:

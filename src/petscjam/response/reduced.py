@@ -319,8 +319,8 @@ class _Projection(Motions):
         x = parts[0] + 1j * parts[1]
         growth = -np.log(self.norm(x))
         for _ in range(STEPS):
-            y, _ = self.solver.solve(x)
-            x = self.solver.solve(y.conj())[0].conj()  # A is symmetric
+            y, _ = self.solver.solve(x, largest=np.inf)
+            x = self.solver.solve(y.conj(), largest=np.inf)[0].conj()  # A is symmetric
             growth += np.log(self.norm(x))
             x /= self.norm(x)
         return FACTOR * float(np.exp(growth / (2 * STEPS)))
