@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import petscjam as pj
 from petscjam.plots import fit_phi_J, fit_power, plot_library, plot_packing
 from petscjam.plots.library import _draw_curves, _draw_density, _draw_excess, _draw_lowest, _sizes, _summary
-from petscjam.plots.packing import _images, draw_packing
+from petscjam.plots.packing import draw_packing
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 SIGNATURES = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "": b"\x89PNG"}
@@ -104,7 +104,7 @@ def test_a_missing_folder_is_named(packing, tmp_path):
 
 def test_the_images_are_all_that_come_near_a_tilted_cell():
     points = np.random.default_rng(1).normal(scale=9, size=(6, 2))
-    which, where = _images(TILTED, points, 0.7)
+    which, where = TILTED.images(points, 0.7)
     assert TILTED.fractional(where - points[which]) == pytest.approx(np.rint(TILTED.fractional(where - points[which])))
     shifts = np.mgrid[-20:21, -20:21].reshape(2, -1).T @ TILTED.cell
     inside = np.array([[a, b] for a in np.linspace(0, 1, 60) for b in np.linspace(0, 1, 60)]) @ TILTED.cell

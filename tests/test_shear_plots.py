@@ -421,7 +421,7 @@ def test_every_disk_of_a_map_has_its_colour_and_images(drawn):
     state = flowing(100, 0.8, strain=0.3)
     shear.plot_maps(state, None)
     phi, rate = local_maps(state)
-    which, centre = shear._images(state)
+    which, centre = state.box.images(state.positions, state.radii[:, None], pj.Box.square(state.length))
     assert set(which) == set(range(100))
     for axes, values in zip(drawn[0].axes, (phi, rate), strict=False):
         assert np.array_equal(axes.collections[0].get_array(), values[which])

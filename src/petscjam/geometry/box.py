@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.base.errors import InputError
-from petscjam.base.types import Array, frozen
+from petscjam.base.types import Array, Integers, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,11 @@ class Box:
         """Return a square cell with edges of ``length``."""
         return cls(length * np.eye(2))
 
+    @classmethod
+    def filled(cls, radii: Array, phi: float) -> Box:
+        """Return the square cell in which disks of ``radii`` (N,) have the packing fraction ``phi``."""
+        return cls.square(float(np.sqrt(np.pi * (radii**2).sum() / phi)))
+
     @property
     def area(self) -> float:
         """Area V of the cell."""
@@ -78,6 +83,38 @@ class Box:
         images = d[..., None, :] + _SHELL @ self.reduced
         nearest = np.argmin((images**2).sum(-1), axis=-1)
         return np.take_along_axis(images, nearest[..., None, None], axis=-2)[..., 0, :]
+
+    def images(self, points: Array, reach: float | Array, window: Box | None = None) -> tuple[Integers, Array]:
+        """Find the periodic images of points that lie in a window or near it.
+
+        Parameters
+        ----------
+        points : (P, 2)
+        reach : float or (P, 1)
+            Distance from the window up to which an image counts.
+        window : Box
+            Left out: the cell itself.
+
+        Returns
+        -------
+        which : (I,)
+            The point that each image is of.
+        images : (I, 2)
+        """
+        window = window or self
+        margin = reach * np.linalg.norm(np.linalg.inv(window.cell), axis=0)  # in units of each lattice vector
+        s = self.fractional(points)
+        s = s - np.floor(s)
+        most = np.ceil(margin.reshape(-1, 2).max(0)).astype(int) + (window is not self)
+        shells = [np.arange(-m, m + 1) for m in most]
+        which, where = [], []
+        for shift in np.array(np.meshgrid(*shells)).reshape(2, -1).T:
+            x = (s + shift) @ self.cell
+            inside = s + shift if window is self else window.fractional(x)
+            near = np.flatnonzero(((inside > -margin) & (inside < 1 + margin)).all(1))
+            which.append(near)
+            where.append(x[near])
+        return np.concatenate(which), np.concatenate(where)
 
     def deformed(self, gradient: ArrayLike) -> Box:
         """Return the cell after the deformation x → F x."""

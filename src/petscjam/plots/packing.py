@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.base.types import Array, Integers
-from petscjam.geometry.box import Box
+from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, save
@@ -68,7 +67,7 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     cut = Polygon(corners, fc="none", ec="0.35", lw=1, zorder=4)
     axes.add_patch(cut)
     many = len(packing) > OUTLINED
-    disk, centre = _images(box, packing.positions, radii.max())
+    disk, centre = box.images(packing.positions, radii.max())
 
     def draw(collection: Any) -> None:
         collection.set_rasterized(many)
@@ -101,7 +100,7 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
         )
     if len(network):
         start = packing.positions[network.i]
-        contact, middle = _images(box, start + network.r / 2, 1.5 * radii.max())  # lines are wide
+        contact, middle = box.images(start + network.r / 2, 1.5 * radii.max())  # lines are wide
         half = network.r[contact] / 2
         strength = network.force / max(network.force.mean(), np.finfo(float).tiny)
         ends: Any = np.stack([middle - half, middle + half], axis=1)
@@ -134,22 +133,6 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
         color=colour,
         fontsize=size + 4,
     )
-
-
-def _images(box: Box, points: Array, reach: float) -> tuple[Integers, Array]:
-    """Return every image of ``points`` (P, 2) within ``reach`` of the cell, and which point each is of."""
-    inverse = np.linalg.inv(box.cell)
-    s = points @ inverse
-    s = s - np.floor(s)
-    margin = reach * np.linalg.norm(inverse, axis=0)  # in units of each lattice vector
-    shells = [np.arange(-m, m + 1) for m in np.ceil(margin).astype(int)]
-    which, where = [], []
-    for shift in np.array(np.meshgrid(*shells)).reshape(2, -1).T:
-        image = s + shift
-        near = np.flatnonzero(((image > -margin) & (image < 1 + margin)).all(1))
-        which.append(near)
-        where.append(image[near] @ box.cell)
-    return np.concatenate(which), np.concatenate(where)
 
 
 def _history(packing: Packing) -> dict[str, Array] | None:

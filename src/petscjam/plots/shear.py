@@ -10,6 +10,7 @@ import numpy as np
 
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
+from petscjam.geometry.box import Box
 from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
@@ -258,7 +259,7 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
     figure = Figure(figsize=(2.2 * size, size + 0.6), layout="constrained")
     panels = figure.subplots(1, 2)
     phi, rate = local_maps(state, radius)
-    disk, centre = _images(state)
+    disk, centre = state.box.images(state.positions, state.radii[:, None], Box.square(state.length))
     for axes, values, colours, text in (
         (panels[0], phi, "viridis", r"local packing fraction $\phi(x, y)$"),
         (panels[1], rate, "plasma", r"local strain rate $\dot\gamma(x, y)\,\tau_e$"),
@@ -299,16 +300,6 @@ def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any,
     axes.set(xlim=(0, state.length), ylim=(0, state.length), aspect="equal", xticks=[], yticks=[])
     axes.set(xlabel="$x$", ylabel="$y$")
     return drawn
-
-
-def _images(state: State) -> tuple[Any, Array]:
-    """Return the images of disks that reach into the square 0 ≤ x, y ≤ L, and which disk each is of."""
-    L, x = state.length, state.wrapped().positions
-    shifts = [(a + b * state.box.cell[1, 0] / L, b) for b in (-1, 0, 1) for a in (-1, 0, 1)]
-    centres = x + L * np.array(shifts)[:, None]
-    margin = state.radii[:, None]
-    which, disk = np.nonzero(((centres > -margin) & (centres < L + margin)).all(-1))
-    return disk, centres[which, disk]
 
 
 # --- a ramp -------------------------------------------------------------------------------------------

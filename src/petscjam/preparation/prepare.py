@@ -111,7 +111,7 @@ def prepare_packing(
     radii = _radii(n, ratio, composition, polydispersity, random)
     exponent = POTENTIALS[potential_name].exponent
     phi = 0.842 + 2.5 * pressure ** (1 / (exponent - 1))
-    box = Box.square(float(np.sqrt(np.pi * (radii**2).sum() / phi)))
+    box = Box.filled(radii, phi)
     made_by = {
         "program": "petscjam",
         "version": release("petscjam"),
