@@ -75,9 +75,10 @@ def ours(x, radii, length, rms, method):
     """
     from petscjam.preparation.minimise import Enthalpy
     from petscjam.preparation.newton import descend, first_closeness
+    from petscjam.preparation.records import Goal
 
     energy = Enthalpy(pj.Packing(x, radii, pj.Box.square(length)))
-    z = descend(energy, energy.start, (rms, 0.0, 0.0), first_closeness(len(x)), method)
+    z = descend(energy, energy.start, Goal(rms, 0.0, 0.0), first_closeness(len(x)), method)
     return energy.at(z).positions, energy.evaluations
 
 

@@ -20,6 +20,7 @@ from petscjam.preparation.certify import certify, elastic_tensor, hessian, negat
 from petscjam.preparation.minimise import METHODS, Enthalpy
 from petscjam.preparation.newton import newton
 from petscjam.preparation.prepare import prepare_packing, relax_packing
+from petscjam.preparation.records import Goal
 from petscjam.response.moduli import complex_modulus
 
 DATA = Path(__file__).parent / "data"
@@ -161,18 +162,18 @@ def test_kernel_agrees_with_network(packing, potential_name):
     network = ContactNetwork.of(h.at(z))
     sigma = network.radii[network.i] + network.radii[network.j]
     energy = packing.potential.energy(network.distance, sigma).sum()
-    assert h.energy == pytest.approx(energy, rel=1e-12)
-    assert np.allclose(h.stress, network.stress[[0, 0, 1], [0, 1, 1]], rtol=1e-12, atol=1e-13)
+    assert h.now.energy == pytest.approx(energy, rel=1e-12)
+    assert np.allclose(h.now.stress, network.stress[[0, 0, 1], [0, 1, 1]], rtol=1e-12, atol=1e-13)
     forces = -g[: 2 * len(packing)].reshape(-1, 2) @ np.linalg.inv(F)
     assert np.allclose(forces, network.residual_force[h.order], atol=1e-12)
-    assert h.force == pytest.approx(np.linalg.norm(network.residual_force, axis=1).max(), rel=1e-12)
+    assert h.now.force == pytest.approx(np.linalg.norm(network.residual_force, axis=1).max(), rel=1e-12)
 
 
 def test_threads_change_nothing():
     one, two = (Enthalpy(random_disks(9000, 0.9), threads=threads) for threads in (1, 2))
     assert np.array_equal(one.gradient(one.start), two.gradient(two.start))
-    assert one.energy == two.energy
-    assert np.array_equal(*(METHODS["fire"](h, h.start, (1e-3, 0.0, 0.0)) for h in (one, two)))
+    assert one.now.energy == two.now.energy
+    assert np.array_equal(*(METHODS["fire"](h, h.start, Goal(1e-3, 0.0, 0.0)) for h in (one, two)))
 
 
 def test_two_images_of_a_disk_are_two_contacts():
@@ -192,7 +193,7 @@ def test_gradient_is_the_derivative_to_second_order(shape):
 
     def enthalpy(at):
         h.gradient(at)
-        return h.energy + 0.1 * packing.box.area * np.linalg.det(h.unpack(at)[1])
+        return h.now.energy + 0.1 * packing.box.area * np.linalg.det(h.unpack(at)[1])
 
     errors = [
         abs((enthalpy(z + step * direction) - enthalpy(z - step * direction)) / (2 * step) - slope)
@@ -214,14 +215,14 @@ def test_neighbour_list_never_misses_a_contact(n, growth):
         z = z + np.append(rng.normal(scale=0.02, size=2 * n), h.weight * np.array([growth, 4e-3, growth]))
         h.gradient(z)
         fresh = ContactNetwork.of(h.at(z))
-        assert h.energy == pytest.approx(0.5 * (fresh.force**2 / fresh.stiffness).sum(), rel=1e-9)
+        assert h.now.energy == pytest.approx(0.5 * (fresh.force**2 / fresh.stiffness).sum(), rel=1e-9)
 
 
 def test_fire_and_conjugate_gradients_and_newton_end_in_one_minimum():
     """From nearby, all three do; Newton's method converges quadratically."""
     packing = prepare_packing(64, P, seed=2)
     shaken = replace(packing, positions=packing.positions + 1e-7 * np.random.default_rng(0).normal(size=(64, 2)))
-    goal = (1e-13, 0.0, 1e-13)
+    goal = Goal(1e-13, 0.0, 1e-13)
     ends = []
     for method in (*METHODS.values(), newton):
         h = Enthalpy(shaken, P)
@@ -235,7 +236,7 @@ def test_fire_and_conjugate_gradients_and_newton_end_in_one_minimum():
 def test_budget_spent_is_an_error_that_says_where_it_stands():
     h = Enthalpy(random_disks(16, 0.9), P, budget=10)
     with pytest.raises(SolverError, match=r"after 10 force evaluations; .* \(target 0.001"):
-        METHODS["cg"](h, h.start, (0.0, 0.0, 0.0))
+        METHODS["cg"](h, h.start, Goal(0.0, 0.0, 0.0))
 
 
 def test_a_target_that_is_not_reached_within_the_budget_is_an_error():

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,12 @@ from petscjam.base.errors import SolverError
 from petscjam.base.interrupt import check
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
+from petscjam.preparation.records import Bounds, CellStrains, Forces, Goal, Line, NeighbourList, System
 
 NOTHING = np.zeros((0, 2, 2))
 SIZE = np.eye(2)[None]
 SHAPE = np.array([[[1, 0], [0, 0]], [[0, 1], [0, 0]], [[0, 0], [0, 1]]], dtype=float)
 REPORT_EVERY = 200
-Goal = tuple[float, float, float]  # largest force; the same in units of the pressure; error of the stress
 
 
 class Enthalpy:
@@ -52,10 +51,8 @@ class Enthalpy:
         The z of ``packing``.
     unit : float
         Stiffness of the packing's potential (:meth:`petscjam.geometry.potential.Potential.unit`).
-    energy, force : float
-        U, and the largest net force on a disk, of the last gradient.
-    stress : (3,)
-        Pressure tensor Σ f r⊗n / V of the last gradient: xx, xy, yy.
+    now : Forces
+        Of the last gradient.
     evaluations : int
         Gradients evaluated so far.
     """
@@ -78,34 +75,33 @@ class Enthalpy:
         self.diameter = packing.mean_diameter
         self.unit = packing.potential.unit(self.diameter)
         self.weight = len(packing) ** 0.5 * self.diameter
-        self.cell = self.strains, self.weight, np.nan if pressure is None else pressure, packing.box.area
+        self.cell = CellStrains(self.strains, self.weight, np.nan if pressure is None else pressure, packing.box.area)
         self.exponent = packing.potential.exponent
         self.budget, self.report = budget, report
         self.evaluations = evaluations
-        self.energy = self.force = np.nan
-        self.stress = np.full(3, np.nan)
+        self.now = Forces(np.nan, np.nan, np.full(3, np.nan))
         x = packing.box.wrap(packing.positions)
         self.order = np.lexsort((x[:, 0], np.floor(x[:, 1] / self.diameter)))
         self.radii = packing.radii[self.order]
         self.start = np.append(x[self.order], np.zeros(len(self.strains)))
-        self.largest = 2 * float(packing.radii.max())
         self.skin = 0.3 * self.diameter
         check_memory(packing.box, packing.radii, self.skin)
         self._threads = _use_threads(threads, len(packing))
-        self._true = np.empty(len(x), dtype=complex)
-        self._built, self._built_at = np.empty(0), evaluations
+        self._mapped = np.empty(len(x), dtype=complex)
+        self._system: System | None = None
+        self._built_at = evaluations
 
     @property
     def pressure(self) -> float:
         """Half the trace of the pressure tensor."""
-        return float(self.stress[0] + self.stress[2]) / 2
+        return float(self.now.stress[0] + self.now.stress[2]) / 2
 
     @property
     def stress_error(self) -> float:
         """Largest error of what the cell relaxes: the pressure, or every part of the pressure tensor."""
-        from petscjam.preparation.kernels import stress_error
+        from petscjam.preparation import kernels
 
-        return float(stress_error(self.stress, self.cell))
+        return float(kernels.stress_error(self.now.stress, self.cell))
 
     def unpack(self, z: Array) -> tuple[Array, Array]:
         """Return the positions in the reference cell, sorted, (N, 2), and F, (2, 2)."""
@@ -122,14 +118,14 @@ class Enthalpy:
 
     def reached(self, goal: Goal) -> bool:
         """Whether the last gradient meets ``goal``."""
-        from petscjam.preparation.kernels import reached
+        from petscjam.preparation import kernels
 
-        return bool(reached(self.force, self.stress, self.cell, goal))
+        return bool(kernels.reached(self.now, self.cell, goal))
 
     def distance(self, goal: Goal) -> float:
         """How many times force or stress of the last gradient exceed ``goal``, whichever is worse."""
-        force = self.force / max(goal[0], goal[1] * self.pressure)
-        return max(force, self.stress_error / goal[2]) if len(self.strains) else force
+        force = self.now.force / max(goal.force, goal.relative * self.pressure)
+        return max(force, self.stress_error / goal.stress) if len(self.strains) else force
 
     def gradient(self, z: Array) -> Array:
         """Return dH/dz, (2N + S,).
@@ -139,13 +135,10 @@ class Enthalpy:
         SolverError
             If the budget is used up.
         """
-        from petscjam.preparation.kernels import evaluate
+        from petscjam.preparation import kernels
 
-        self.refresh(z)
         g = np.empty_like(z)
-        n, cell, pairs, exponent, threads, true, sums = self.arguments()
-        found = evaluate(z, n, cell, pairs, exponent, threads, true, sums, g)
-        self.force, self.energy, self.stress = found
+        self.now = kernels.evaluate(z, self.system(z), g)
         self.count(z, 1)
         return g
 
@@ -166,12 +159,8 @@ class Enthalpy:
         self.gradient(self.start + step * d)
         return self.start + step * d
 
-    def arguments(self) -> Any:
-        """Return what the kernels need beside z."""
-        return len(self.radii), self.cell, self.pairs, self.exponent, self._threads, self._true, self._sums
-
     def count(self, z: Array, gradients: int) -> None:
-        """Book ``gradients`` against the budget, report now and then, and stop if a signal has come."""
+        """Count ``gradients`` evaluated, report every 200 of them, and stop if a signal has come."""
         check()
         before = self.evaluations
         self.evaluations += gradients
@@ -181,50 +170,52 @@ class Enthalpy:
             aim = f"target {self.target}" if self.target else "at constant volume"
             raise SolverError(
                 f"minimise: not converged after {self.evaluations} force evaluations; the largest force is "
-                f"{self.force:.3g}, the pressure {self.pressure:.9g} ({aim})"
+                f"{self.now.force:.3g}, the pressure {self.pressure:.9g} ({aim})"
             )
 
-    def refresh(self, z: Array) -> Array:
-        """Rebuild the neighbour list if a pair that is not on it may touch; return z when it was built.
+    def system(self, z: Array) -> System:
+        """Return what the kernels need; pairs are listed anew if one that is not in the list may touch at ``z``.
 
         The skin follows the motion: a list is to last for a hundred gradients, and costs about fourteen.
         """
-        from petscjam.preparation.kernels import farthest, stale
+        from petscjam.preparation import kernels
 
-        n = len(self.radii)
-        if len(self._built):
-            moved = farthest(n, z, self._built)
-            if not stale(moved, z, self._built, n, self.cell, self.largest, self.skin):
-                return self._built
+        if self._system is not None:
+            pairs = self._system.pairs
+            moved = kernels.farthest(len(self.radii), z, pairs.built)
+            if not kernels.stale(moved, z, pairs, self.cell):
+                return self._system
             age = self.evaluations - self._built_at
             factor = 1.4 if age < 60 else 0.7 if age > 200 else 1.0
             self.skin = float(np.clip(factor * self.skin, 0.03 * self.diameter, 0.5 * self.diameter))
-        self._built, self._built_at = z.copy(), self.evaluations
-        self._build(*self.unpack(z))
-        return self._built
+        self._built_at = self.evaluations
+        self.pairs = self._list(z)
+        sums = np.zeros((len(self.pairs.chunks), 4))
+        self._system = System(len(self.radii), self.cell, self.pairs, self.exponent, self._threads, self._mapped, sums)
+        return self._system
 
-    def _build(self, x: Array, F: Array) -> None:
-        """List the pairs: those within a run of disks first, run by run, then the rest with their images."""
+    def _list(self, z: Array) -> NeighbourList:
+        """List the pairs: those within a chunk of disks first, chunk by chunk, then the rest with their images."""
         from petscjam.geometry.neighbours import find
 
+        x, F = self.unpack(z)
         box = self.packing.box.deformed(F) if len(self.strains) else self.packing.box
-        i, j, runs, images = find(x @ F.T, np.array(box.reduced), self.radii, self.skin)
+        i, j, chunks, images = find(x @ F.T, np.array(box.reduced), self.radii, self.skin)
         in_cell = np.rint(box.reduced @ np.linalg.inv(box.cell))  # exactly the same lattice
         sigma = self.radii[i] + self.radii[j]
         k = self.packing.potential.spring_constant(sigma)
         image = np.ascontiguousarray(images @ in_cell @ self.packing.box.cell).view(complex)[:, 0]
-        self.pairs = i, j, sigma, k, runs, image
-        self._sums = np.zeros((len(runs), 4))
         overlap = self.packing.potential.stiffness(0.9 * sigma, sigma)
         self.stiffest = float(overlap.max(initial=1e-3 * self.unit))
+        largest = 2 * float(self.packing.radii.max())
+        return NeighbourList(i, j, sigma, k, chunks, image, z.copy(), self.skin, largest)
 
 
 def _use_threads(threads: int, n: int) -> bool:
+    from petscjam.base.compiled import MOST_THREADS, use_threads
     from petscjam.geometry.neighbours import CHUNK
 
     if threads > 1 and n > CHUNK:
-        from petscjam.base.compiled import MOST_THREADS, use_threads
-
         use_threads(min(threads, MOST_THREADS))
         return True
     return False
@@ -241,23 +232,9 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
     g, v = h.gradient(z), np.zeros_like(z)
     state = np.array([0.1 / h.unit**0.5, 0.1, 0.0, 0.0])
     while not h.reached(goal):
-        taken, fresh, h.force, h.energy, h.stress = kernels.fire(
-            z,
-            g,
-            v,
-            state,
-            h.force,
-            h.energy,
-            h.stress,
-            goal,
-            min(REPORT_EVERY, h.budget - h.evaluations),
-            0.6 / h.stiffest**0.5,
-            0.1 * h.diameter,
-            h.refresh(z),
-            h.largest,
-            h.skin,
-            *h.arguments(),
-        )
+        system = h.system(z)
+        bounds = Bounds(min(REPORT_EVERY, h.budget - h.evaluations), 0.6 / h.stiffest**0.5, 0.1 * h.diameter)
+        taken, fresh, h.now = kernels.fire(z, g, v, state, h.now, goal, bounds, system)
         h.count(z, taken)
         if not fresh:
             g = h.gradient(z)
@@ -268,32 +245,16 @@ def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
     """Minimise by Polak–Ribière+ conjugate gradients (BT sec. 2.1) until ``goal``; return z."""
     from petscjam.preparation import kernels
 
-    z, trial = z.copy(), z.copy()
-    g, g_trial = h.gradient(z), np.empty_like(z)
-    d, limit, slope = -g, 0.1 * h.diameter, -float(g @ g)
-    longest = limit / max(float(np.abs(d).max()), 1e-300)
+    line = Line(z.copy(), h.gradient(z), np.empty_like(z), z.copy(), np.empty_like(z))
+    line.d[:] = -line.g
+    limit, slope = 0.1 * h.diameter, -float(line.g @ line.g)
+    longest = limit / max(float(np.abs(line.d).max()), 1e-300)
     state = np.array([slope, min(0.1 / h.unit, longest), 0.0, slope, np.inf, np.inf, longest, 0.0])
     while not h.reached(goal):
-        taken, h.force, h.energy, h.stress = kernels.conjugate_gradients(
-            z,
-            g,
-            d,
-            trial,
-            g_trial,
-            state,
-            h.force,
-            h.energy,
-            h.stress,
-            goal,
-            min(REPORT_EVERY, h.budget - h.evaluations),
-            limit,
-            h.refresh(trial),
-            h.largest,
-            h.skin,
-            *h.arguments(),
-        )
-        h.count(z, taken)
-    return z
+        system, gradients = h.system(line.trial), min(REPORT_EVERY, h.budget - h.evaluations)
+        taken, h.now = kernels.conjugate_gradients(line, state, h.now, goal, gradients, limit, system)
+        h.count(line.z, taken)
+    return line.z
 
 
 METHODS: dict[str, Callable[[Enthalpy, Array, Goal], Array]] = {"fire": fire, "cg": conjugate_gradients}

@@ -13,7 +13,8 @@ from petscjam.geometry.network import ContactNetwork, backbone
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying
 from petscjam.parallel.solver import direct_solver
-from petscjam.preparation.minimise import METHODS, Enthalpy, Goal
+from petscjam.preparation.minimise import METHODS, Enthalpy
+from petscjam.preparation.records import Goal
 from petscjam.rows.kinematics import StrainMode, displacements, elastic_form
 
 SHIFT = 1e-10  # in units of the largest stiffness
@@ -27,7 +28,7 @@ def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) ->
     """
     while True:
         nearer = near(h, closeness)
-        z = METHODS[method](h, z, (max(goal[0], nearer[0]), max(goal[1], nearer[1]), max(goal[2], nearer[2])))
+        z = METHODS[method](h, z, Goal(*map(max, goal, nearer)))
         if h.reached(goal):
             return z
         z = newton(h, z, goal)
@@ -39,7 +40,7 @@ def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) ->
 def near(h: Enthalpy, closeness: float) -> Goal:
     """Return the goal: no force exceeds ``closeness``·p·d, the stress errs by ten times as much at most."""
     pressure = h.target or 0.0  # at constant volume: in units of the pressure there is
-    return closeness * pressure * h.diameter, closeness * h.diameter, 10 * closeness * pressure
+    return Goal(closeness * pressure * h.diameter, closeness * h.diameter, 10 * closeness * pressure)
 
 
 def first_closeness(n: int) -> float:
@@ -58,7 +59,7 @@ def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
     then it is for the other methods to go on.
     """
     g = h.gradient(z)
-    best, at_best, nearest = z, (h.force, h.energy, h.stress), h.distance(goal)
+    best, at_best, nearest = z, h.now, h.distance(goal)
     vain = 0
     while not h.reached(goal) and vain < PATIENCE:
         try:
@@ -71,8 +72,8 @@ def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
         g = h.gradient(z)
         vain = 0 if h.distance(goal) < 0.5 * nearest else vain + 1
         if vain == 0:
-            best, at_best, nearest = z, (h.force, h.energy, h.stress), h.distance(goal)
-    h.force, h.energy, h.stress = at_best
+            best, at_best, nearest = z, h.now, h.distance(goal)
+    h.now = at_best
     return best
 
 
@@ -102,7 +103,7 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
     d = u[:, 0]
     change = np.zeros((2, 2))
     if modes and h.target is not None:
-        residual = np.tensordot(h.strains, h.target * np.eye(2) - _tensor(h.stress)) * area
+        residual = np.tensordot(h.strains, h.target * np.eye(2) - _tensor(h.now.stress)) * area
         own = K.strain_rows.T @ (K.weights[:, None] * K.strain_rows) + h.target * area * _volume(h.strains)
         strain = np.linalg.solve(own + across.T @ u[:, 1:], -residual - across.T @ d)
         d = d + u[:, 1:] @ strain
@@ -132,15 +133,14 @@ def _contacts(h: Enthalpy, x: Array, F: Array) -> tuple[ContactNetwork, float]:
 
     Rattlers get no pre-stress: it would turn them over for lack of a hold.
     """
-    unsigned_i, unsigned_j, sigma, _, runs, images = h.pairs
-    i, j = unsigned_i.astype(int), unsigned_j.astype(int)
+    i, j, sigma = h.pairs.i.astype(int), h.pairs.j.astype(int), h.pairs.sigma
     r = x[j] - x[i]
-    r[runs[-1] :] += images.view(float).reshape(-1, 2)
+    r[h.pairs.chunks[-1] :] += h.pairs.image.view(float).reshape(-1, 2)
     r = r @ F.T
     touching = np.hypot(r[:, 0], r[:, 1]) <= sigma
     i, j, r, sigma = i[touching], j[touching], r[touching], sigma[touching]
     distance, law = np.hypot(r[:, 0], r[:, 1]), h.packing.potential
-    area = h.cell[3] * float(np.linalg.det(F))
+    area = h.cell.area * float(np.linalg.det(F))
     stays = backbone(i, j, len(x))
     force = law.force(distance, sigma) * (stays[i] & stays[j])
     return ContactNetwork(i, j, r, force, law.stiffness(distance, sigma), h.radii, area, stays), area

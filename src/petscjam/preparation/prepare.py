@@ -24,8 +24,9 @@ from petscjam.geometry.packing import Packing
 from petscjam.geometry.potential import POTENTIALS
 from petscjam.parallel.memory import require
 from petscjam.preparation.certify import Instability, judge
-from petscjam.preparation.minimise import METHODS, Enthalpy, Goal
+from petscjam.preparation.minimise import METHODS, Enthalpy
 from petscjam.preparation.newton import descend, first_closeness, near
+from petscjam.preparation.records import Goal
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
 PUSHES = 1000
@@ -127,7 +128,7 @@ def prepare_packing(
     log_book = _LogBook(budget, progress)
     energy = Enthalpy(start, threads=threads, budget=budget, report=log_book)
     # A box let go before the disks have settled overshoots, and the way back along soft modes is long.
-    z = METHODS[method](energy, energy.start, (1e-2 * pressure, 1e-2, 0.0))
+    z = METHODS[method](energy, energy.start, Goal(1e-2 * pressure, 1e-2, 0.0))
     log_book.close(energy)
     return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, log_book)
 
@@ -212,7 +213,7 @@ def _minimum(
 
     def descended(h: Enthalpy, z: Array, slack: float, closeness: float) -> Packing:
         force, relative, error = _goal(h, z)
-        z = descend(h, z, (slack * force, relative, error), closeness, method)
+        z = descend(h, z, Goal(slack * force, relative, error), closeness, method)
         book.close(h)
         return h.at(z)
 
@@ -222,7 +223,7 @@ def _minimum(
         network = ContactNetwork.of(packing)
         overlap = (network.radii[network.i] + network.radii[network.j] - network.distance).mean()
         z = h.downhill(way_down.displacement, way_down.strain, 0.1 * float(overlap))
-        closeness = min(closeness, 1e-2 * h.force / (h.pressure * h.diameter))
+        closeness = min(closeness, 1e-2 * h.now.force / (h.pressure * h.diameter))
     z = METHODS[method](h, z, near(h, closeness))
     packing = _free_rattlers(descended(h, z, ROUNDING, closeness))
     # In a cell other than its own a packing is rounded more. So the forces are relaxed once more in the
@@ -247,7 +248,7 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
     """
     floor = 0.8 * ContactNetwork.of(h.at(z)).rounding_force
     error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
-    return max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error
+    return Goal(max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error)
 
 
 class _LogBook:
@@ -271,10 +272,10 @@ class _LogBook:
         if h.pressure < self.least:
             raise InputError(f"not jammed: the pressure falls to {h.pressure:.1e}, with all forces")
         unit = h.unit * h.diameter
-        goal, force = 1e-10 * h.pressure * h.diameter / unit, h.force / unit
+        goal, force = 1e-10 * h.pressure * h.diameter / unit, h.now.force / unit
         if 0 < goal < 1 and force < 1:
             self._done = max(self._done, min(0.99, log(max(force, goal)) / log(goal)))
-        self._say(f"largest force {h.force:.1e}, pressure {h.pressure:.4e}")
+        self._say(f"largest force {h.now.force:.1e}, pressure {h.pressure:.4e}")
 
     def finish(self, packing: Packing) -> None:
         """Say how it ended."""
@@ -297,7 +298,12 @@ class _LogBook:
             return
         area = h.packing.box.area * float(np.linalg.det(h.unpack(z)[1]))
         phi = float(np.pi * (h.radii**2).sum() / area)
-        for name, value in (("evaluations", count), ("phi", phi), ("pressure", h.pressure), ("force", float(h.force))):
+        for name, value in (
+            ("evaluations", count),
+            ("phi", phi),
+            ("pressure", h.pressure),
+            ("force", float(h.now.force)),
+        ):
             lists[name].append(value)
         if len(lists["phi"]) >= HISTORY:
             self._every *= 2
