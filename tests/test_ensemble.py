@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.analysis.statistics import average
 from petscjam.base.errors import InputError
 from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-from petscjam.io.jobs import average, sweep
+from petscjam.io.jobs import sweep
 from petscjam.parallel.comm import on_root
 
 OMEGA = np.geomspace(1e-4, 10, 6)

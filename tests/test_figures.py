@@ -10,16 +10,16 @@ from conftest import names
 
 import petscjam as pj
 from petscjam.analysis.scaling import Curve, collapse, power_law
+from petscjam.analysis.statistics import by_pressure
 from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
 from petscjam.figures import FIGURES, make_figure, presets
 from petscjam.figures.modes import WITHIN, enough
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Study, by_pressure
+from petscjam.figures.study import Study
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
-from petscjam.plots.figure import errors
 
 RUNS = Path(__file__).parents[1] / "mpi_runs"
 COMMON = {"particles": 64, "pressure": "1e-2:1e-3:2", "seeds": "1:3"}
@@ -482,7 +482,7 @@ def test_the_page_rounds_and_leaves_gaps(study):
 def test_groups_by_pressure(made, shared):
     made("bt5")
     results = read_results(shared / "bt5.h5")
-    groups = by_pressure(results, prestress=False)
+    groups = by_pressure(results.values(), prestress=False)
     assert list(groups) == [1e-3, 1e-2]
     assert [len(some) for some in groups.values()] == [3, 3]
     assert not any(r.prestress for some in groups.values() for r in some)
@@ -557,12 +557,6 @@ def test_how_many_modes_are_enough(ratios, least):
     assert enough(np.array(ratios), np.array([1, 2, 4, 8])) == pytest.approx(least, nan_ok=True)
 
 
-def test_standard_errors_of_samples():
-    mean, error = errors([[1.0, 3.0], [5.0], [2.0, 2.0, 2.0, 6.0]])
-    assert mean == pytest.approx([2, 5, 3])
-    assert error == pytest.approx([1, 0, 1])  # (6² /3/4)^½… of deviations −1, −1, −1, 3: 12/3/4
-
-
 @pytest.fixture
 def axes():
     from matplotlib.figure import Figure
@@ -572,7 +566,7 @@ def axes():
 
 def test_means_are_drawn_rescaled_and_cut(made, shared, axes):
     made("bt3")
-    some = by_pressure(read_results(shared / "bt3.h5"), prestress=False)[1e-3]
+    some = by_pressure(read_results(shared / "bt3.h5").values(), prestress=False)[1e-3]
     draw_mean(axes, some, "k", "p", x=1e3, y=2.0, most=0.1)
     storage, loss = axes.lines
     kept = some[0].omega <= 0.1

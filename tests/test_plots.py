@@ -12,7 +12,8 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
 import petscjam as pj
-from petscjam.plots import fit_phi_J, fit_power, plot_library, plot_packing
+from petscjam.analysis.jamming import fit_phi_J, fit_power
+from petscjam.plots import plot_library, plot_packing
 from petscjam.plots.library import _draw_curves, _draw_density, _draw_excess, _draw_lowest, _sizes, _summary
 from petscjam.plots.packing import draw_packing
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import petscjam as pj
+from petscjam.analysis.statistics import average
 from petscjam.cli import main
 from petscjam.geometry.network import ContactNetwork
-from petscjam.io.jobs import average, export_average
 from petscjam.io.results import append_result, read_results
+from petscjam.io.rheology import export_average
 from petscjam.plots import plot_results
 from petscjam.plots.tables import describe_packing, table
 from petscjam.preparation.certify import certify

@@ -15,7 +15,7 @@ from .geometry.packing import Certificate as Certificate
 from .geometry.packing import Packing as Packing
 from .io.exporters import export_packing as export_packing
 from .io.importers import import_packing as import_packing
-from .io.jobs import average as average
+from .analysis.statistics import average as average
 from .io.results import read_moduli as read_moduli
 from .io.results import read_modulus as read_modulus
 from .io.results import read_results as read_results

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import check
@@ -296,11 +297,6 @@ def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
         "cumulative": integral.mean(0),
         "resolution": np.pi / (moments.shape[1] + 1) * slope,
     }
-
-
-def standard_error(samples: Array) -> Array:
-    """Return the standard error of the mean over the first axis."""
-    return samples.std(0, ddof=1) / np.sqrt(len(samples))
 
 
 def plateau(density: DensityOfStates) -> Plateau:

@@ -1,4 +1,4 @@
-"""Types of arrays."""
+"""Types of arrays, and grids."""
 
 from __future__ import annotations
 
@@ -7,6 +7,23 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+def per_decade(points: int, low: float, high: float) -> Array:
+    """Return a grid even in the logarithm, both ends included.
+
+    Parameters
+    ----------
+    points : int
+        At least so many steps a decade.
+    low, high : float
+        0 < low ≤ high.
+
+    Returns
+    -------
+    (W,)
+    """
+    return np.geomspace(low, high, 1 + int(np.ceil(points * (np.log10(high) - np.log10(low)))))
 
 
 def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray:

@@ -202,14 +202,14 @@ def export(options: argparse.Namespace, comm: Any) -> None:
     """Export a packing, or a result for rheologists."""
 
     def work() -> None:
+        from petscjam.analysis.statistics import average
         from petscjam.base.files import check_output
         from petscjam.io.exporters import FORMATS as PICTURES
         from petscjam.io.exporters import export_packing, format_of
         from petscjam.io.importers import import_packing
-        from petscjam.io.jobs import average, export_average
         from petscjam.io.results import is_result
         from petscjam.io.rheology import FORMATS as CURVES
-        from petscjam.io.rheology import export_rheology
+        from petscjam.io.rheology import export_average, export_rheology
         from petscjam.md.result import is_run
 
         if is_run(options.file):

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.scaling import Curve, collapse, critical, local_slope
+from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
@@ -41,7 +42,7 @@ def draw_collapse(
     figure = Figure(figsize=(12, 9.5), layout="constrained")
     panels = figure.subplots(2, 2)
     for row, prestress in zip(panels, (True, False), strict=True):
-        groups = by_pressure(results, prestress=prestress)
+        groups = by_pressure(results.values(), prestress=prestress)
         if not groups:
             continue
         exponents(study, groups, given(prestress), affine)

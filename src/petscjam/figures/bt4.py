@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Study, by_pressure
+from petscjam.figures.study import Study
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import errors, given, save
+from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.rows.damping import ContactDamping
 
@@ -58,7 +59,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
 def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> None:
     """Draw β = 0 with pre-stress (circles) and without (lines), raw and collapsed by p^½."""
     for prestress in (True, False):
-        groups = by_pressure(results, prestress=prestress)
+        groups = by_pressure(results.values(), prestress=prestress)
         if not groups:
             continue
         colour, p, how = coloured(list(groups)), np.array(list(groups)), given(prestress)
@@ -110,7 +111,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
     for samples, marker, label in ((low_end, "o", r"$\eta_0$"), (high_end, "s", r"$\eta_\infty$")):
         if not samples[0]:  # η0 was not solved for at this pressure
             continue
-        inset.errorbar(betas, *errors(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
+        inset.errorbar(betas, *means(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
     inset.legend(frameon=False, fontsize=7)
     inset.tick_params(labelsize=7)
     pressure = next(iter(results.values())).packing["pressure"]
@@ -121,7 +122,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
 
 def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     """Draw β = 1 with friction at the centres, scaled as if disks rolled."""
-    groups = by_pressure(results, prestress=False)
+    groups = by_pressure(results.values(), prestress=False)
     colour = coloured(list(groups))
     for x, some in groups.items():
         draw_mean(axes, some, colour(x), f"p = {x:.2g}", x=1 / x, y=x**-0.5, most=0.05)
@@ -144,7 +145,7 @@ def _crossover(study: Study, results: Mapping[str, Any]) -> None:
     """Note β* ~ p: η0 = η0(0) + sβ exactly, for θ follows alike at every β; β* is where both are equal."""
     for prestress in (True, False):
         laws = UNDAMPED, ContactDamping()
-        none, full = (by_pressure(results, prestress=prestress, damping=law) for law in laws)
+        none, full = (by_pressure(results.values(), prestress=prestress, damping=law) for law in laws)
         samples = []
         for p in none:
             with_friction = {v.packing["checksum"]: v.eta0 for v in full[p]}

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
-from petscjam.figures.study import Study, by_pressure
+from petscjam.analysis.statistics import by_pressure, means
+from petscjam.figures.study import Study
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import errors, given, save
+from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
 
@@ -32,7 +33,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     figure = Figure(figsize=(12.5, 9), layout="constrained")
     panels = figure.subplot_mosaic([["median", "mean", "energy"], [*MOTIONS]])
     for prestress in (False, True):
-        groups = by_pressure(results, prestress=prestress)
+        groups = by_pressure(results.values(), prestress=prestress)
         if not groups:
             continue
         p = np.array(list(groups))
@@ -40,7 +41,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
             colour, marker = STYLES[motion]
             for name, take in (("median", np.median), ("mean", np.mean)):
                 samples = [[float(take(r.sizes(motion))) for r in some] for some in groups.values()]
-                mean, error = errors(samples)
+                mean, error = means(samples)
                 what = f"{name} of {motion} motion, {given(prestress)}"
                 fit = study.exponent(what, p, samples, PAPER[motion])
                 study.exponent(f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW))
@@ -65,7 +66,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
 def _draw_energy(axes: Any, p: Any, groups: Mapping[float, list[Any]], prestress: bool) -> None:
     """Draw the two terms of BT eq. 4: stretching, and how much of it pre-stress gives back."""
     for name, sign, marker in (("stretching", 1, "o"), ("pre_stress", -1, "v"), ("shear_modulus", 1, "s")):
-        mean, error = errors([[sign * getattr(r, name) for r in some] for some in groups.values()])
+        mean, error = means([[sign * getattr(r, name) for r in some] for some in groups.values()])
         if (mean > 0).all():
             text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[name]
             axes.errorbar(

@@ -14,8 +14,9 @@ from scipy.optimize import minimize_scalar
 
 from petscjam.analysis.correlations import CorrelationLength, correlation_length, correlations
 from petscjam.analysis.scaling import log_corrected
+from petscjam.analysis.statistics import by_pressure
 from petscjam.base.types import Array
-from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
@@ -62,7 +63,7 @@ def _draw(
     _draw_contact(study, panels[0, 0], contact)
     for width, some in lanes.items():
         _note_lengths(study, correlation_length(dict(some)), f"contact damping, lanes {width:g} d high")
-    groups = by_pressure(stokes)
+    groups = by_pressure(stokes.values())
     lengths = {p: correlation_length(dict(enumerate(some))) for p, some in groups.items()}  # type: ignore[arg-type]
     _draw_stokes(panels[0, 1], groups, lengths, float(study["shown_pressure"]))
     _draw_lengths(study, panels[1], groups, lengths)

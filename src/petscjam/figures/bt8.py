@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.scaling import Curve, collapse, finite_size
+from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
-from petscjam.figures.study import Study, by_pressure
+from petscjam.figures.study import Study
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import errors, given, save
+from petscjam.plots.figure import given, save
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 
 LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
@@ -46,7 +47,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
                 _intensive(study, curves, law)
             for k, (n, groups) in enumerate(curves.items()):
                 p = np.array(list(groups))
-                mean, error = errors(list(groups.values()))
+                mean, error = means(list(groups.values()))
                 axes.errorbar(
                     p * n**2,
                     mean / n**a,
@@ -70,7 +71,7 @@ def _curves(results: Mapping[str, Any], law: DampingLaw, prestress: bool) -> dic
     sizes = sorted({v.packing["particles"] for v in results.values()})
     curves = {}
     for n in sizes:
-        own = {name: v for name, v in results.items() if v.packing["particles"] == n}
+        own = [v for v in results.values() if v.packing["particles"] == n]
         groups = by_pressure(own, prestress=prestress, damping=law)
         curves[n] = {p: [v.eta0 for v in some] for p, some in groups.items() if len(some) > 1}
     return curves

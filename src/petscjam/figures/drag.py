@@ -13,8 +13,9 @@ import numpy as np
 
 from petscjam.analysis.contact_drag import self_consistent_drag
 from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
+from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.panels import guide
-from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
@@ -41,10 +42,10 @@ def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any]
     figure = Figure(figsize=(13, 5.2 * len(contacts)), layout="constrained")
     panels = figure.subplots(len(contacts), 2, squeeze=False)
     for row, (alpha, results) in zip(panels, contacts.items(), strict=True):
-        groups = by_pressure(results)
+        groups = by_pressure(results.values())
         uniform = {
             p: [equivalent_drag(g.model, study.points("omega"), study["stress"], alpha) for g in some]
-            for p, some in by_pressure(linear).items()
+            for p, some in by_pressure(linear.values()).items()
         }
         colour = coloured(list(groups))
         for form, found in (("one time", uniform), ("per contact", groups)):

@@ -14,11 +14,12 @@ import numpy as np
 from petscjam.analysis.density import density_of_states, plateau
 from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
+from petscjam.analysis.statistics import by_pressure, means
 from petscjam.base.types import Array, Integers
-from petscjam.figures.study import Finding, Study, by_pressure
+from petscjam.figures.study import Finding, Study
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import errors, save
 from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.plots.figure import save
 from petscjam.plots.nonaffine import LABELS, STYLES
 
 WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
@@ -38,7 +39,7 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
 
     figure = Figure(figsize=(13, 9), layout="constrained")
     panels = figure.subplot_mosaic([[*MOTIONS], ["needed", "floppiness", "density"]])
-    groups = by_pressure(modes)
+    groups = by_pressure(modes.values())
     colour = coloured(list(groups))
     for p, some in groups.items():
         for k, motion in enumerate(MOTIONS):
@@ -53,7 +54,7 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
         panels[motion].axhline(1, color="0.6", lw=0.8)
     panels["nonaffine"].legend(frameon=False, fontsize=8, loc="lower right")
     _draw_needed(study, panels["needed"], groups)
-    _draw_density(study, panels["density"], by_pressure(density), colour)
+    _draw_density(study, panels["density"], by_pressure(density.values()), colour)
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
     panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
     particles = {r.packing["particles"] for r in modes.values()}
@@ -88,7 +89,7 @@ def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[Rebuilt]])
         if not known:
             continue
         samples = [needed[m] for m in known]
-        mean, error = errors(samples)
+        mean, error = means(samples)
         axes.errorbar(p[known], mean, error, fmt=marker, color=colour, label=LABELS[motion])
         study.exponent(f"modes needed for the median of {motion} motion ~ p^x", p[known], samples, "—")
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"modes for a median within {WITHIN:.0%}")
@@ -101,7 +102,7 @@ def _draw_density(study: Study, axes: Any, groups: Mapping[float, list[Any]], co
     known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}
     study.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")
     for p, plateaus in found.items():
-        (height,), (error,) = errors([[x.height for x in plateaus]])
+        (height,), (error,) = means([[x.height for x in plateaus]])
         study.findings.append(Finding(f"plateau of D(ω), p = {p:.2g}", height, error, "the same for all p"))
     for p, some in groups.items():
         omega = np.geomspace(1e-3, min(r.edge for r in some) * 0.999, 400)

@@ -251,12 +251,3 @@ class Study:
     def write(self, command: str) -> None:
         """Write the page."""
         write_atomically(self.folder / f"{self.name}.md", self.page(command).encode())
-
-
-def by_pressure(results: Mapping[str, Any], **same: Any) -> dict[float, list[Any]]:
-    """Return the results by target pressure (three digits), those whose attributes are ``same``, rising."""
-    groups: dict[float, list[Any]] = {}
-    for r in results.values():
-        if all(str(getattr(r, key)) == str(value) for key, value in same.items()):
-            groups.setdefault(float(f"{r.packing['pressure']:.2e}"), []).append(r)
-    return dict(sorted(groups.items()))

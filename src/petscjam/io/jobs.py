@@ -15,10 +15,10 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from petscjam.base.errors import InputError, SolverError, readable
-from petscjam.base.files import check_output, naming, write_atomically
+from petscjam.base.files import check_output, naming
 from petscjam.base.interrupt import Interrupted, check, deferred
 from petscjam.base.progress import Report, part
 from petscjam.base.types import Array
@@ -31,7 +31,6 @@ from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, teams
 from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
-from petscjam.response.origin import frequencies
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
@@ -422,100 +421,3 @@ class _Line:
             f"{group}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
             f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Average:
-    """G* over packings on a common grid. Units as those of the moduli.
-
-    Attributes
-    ----------
-    omega : (W,)
-    mean : (W,) complex
-    scatter : (W,) complex
-        Standard deviations of G′ and of G″ over packings.
-    error : (W,) complex
-        Standard errors of the two means.
-    count : int
-        Packings that were averaged.
-    excluded : tuple of str
-        Packings that were not, not being stable.
-    unbalanced : tuple of str
-        Packings that were averaged and are not in balance: without pre-stress that makes none unstable.
-    """
-
-    omega: Array
-    mean: NDArray[np.complex128]
-    scatter: NDArray[np.complex128]
-    error: NDArray[np.complex128]
-    count: int
-    excluded: tuple[str, ...] = ()
-    unbalanced: tuple[str, ...] = ()
-
-
-def average(
-    results: Mapping[str, ComplexModulus], omegas: ArrayLike | None = None, *, unstable: bool = False
-) -> Average:
-    """Average G* over ``results`` of one law, at ``omegas`` or, left out, on their common grid.
-
-    Packings that are not stable are left out, unless ``unstable``; ``excluded`` names them.
-
-    Raises
-    ------
-    InputError
-        If nothing is left, settings differ, or a result knows nothing of a frequency that is asked for.
-    """
-    kept = {name: g for name, g in results.items() if unstable or g.stable}
-    if not kept:
-        name, other = next(iter(results.items()), ("", None))
-        reason = f"; {name}: {other.state}" if other else ""
-        raise InputError(f"average: none of {len(results)} packings is stable{reason}")
-    if len({(g.damping, g.strain, g.prestress, g.packing["potential"]) for g in kept.values()}) > 1:
-        raise InputError("average: the results have different laws, strains, pre-stress or potentials")
-    first = next(iter(kept.values()))
-    omega = first.omega if omegas is None else frequencies(omegas)
-    values: NDArray[np.complex128] = np.array([_at(name, g, omega) for name, g in kept.items()])
-    n = len(values)
-    several = n > 1
-    scatter: NDArray[np.complex128] = np.full(len(omega), np.nan + 1j * np.nan)
-    if several:
-        scatter = values.real.std(0, ddof=1) + 1j * values.imag.std(0, ddof=1)
-    return Average(
-        omega,
-        values.mean(0),
-        scatter,
-        scatter / np.sqrt(n),
-        n,
-        excluded=tuple(name for name in results if name not in kept),
-        unbalanced=tuple(name for name, g in kept.items() if g.packing.get("balanced") is False),
-    )
-
-
-def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write an average as CSV: ω, the means of G′ and G″, their scatter and their standard errors.
-
-    Raises
-    ------
-    InputError
-        If ``path`` exists and ``overwrite`` is not set, or cannot be written.
-    """
-    check_output(path, overwrite=overwrite)
-    columns = [mean.omega]
-    for values in (mean.mean, mean.scatter, mean.error):
-        columns += [values.real, values.imag]
-    lines = [
-        f"# mean of {mean.count} packings; left out as not stable: {', '.join(mean.excluded) or 'none'}",
-        *[f"# not in balance: {', '.join(mean.unbalanced)}"] * bool(mean.unbalanced),
-        "# omega in 1/tau1, moduli in units of the potential; scatter: standard deviation; error: of mean",
-        "omega,G_storage,G_loss,scatter_storage,scatter_loss,error_storage,error_loss",
-        *(",".join(f"{x:.16e}" for x in row) for row in zip(*columns, strict=True)),
-    ]
-    write_atomically(path, "\n".join([*lines, ""]).encode())
-
-
-def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:
-    if np.array_equal(g.omega, omega):
-        return g.values
-    if g.model is None or omega.min() < g.model.span[0] or omega.max() > g.model.span[1]:
-        raise InputError(f"average: {name} is not known on this grid")
-    return g.model(omega)

@@ -18,7 +18,7 @@ from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.base.errors import InputError, shown
 from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, h5_format, open_h5
-from petscjam.base.types import Array
+from petscjam.base.types import Array, per_decade
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.response.modes import Modes
@@ -273,8 +273,7 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
         kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
         if kind == FORMAT_MODEL and schema == SCHEMA:
             model = _read_model(h5)
-            points = 1 + int(np.ceil(10 * np.log10(model.span[1] / model.span[0])))
-            return {model.packing["name"]: ComplexModulus.sampled(model, np.geomspace(*model.span, points))}
+            return {model.packing["name"]: ComplexModulus.sampled(model, per_decade(10, *model.span))}
         if kind not in KINDS or schema != SCHEMA:
             raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
         return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}

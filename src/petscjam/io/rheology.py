@@ -13,9 +13,10 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petscjam.analysis.statistics import Average
 from petscjam.base.errors import InputError
 from petscjam.base.files import check_output, write_atomically
-from petscjam.base.types import Array
+from petscjam.base.types import Array, per_decade
 from petscjam.io.exporters import format_of
 from petscjam.response.reduced import PLATEAU
 from petscjam.response.result import ComplexModulus
@@ -78,7 +79,7 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
     """Return t, G(t) as RepTate's application Gt reads them. It divides by ``gamma``: here 1."""
     model = _model(source, "G(t)")
     first, last = 1 / model.span[1], 1 / model.span[0]
-    t = _decades(first, last) if times is None else _times(times)
+    t = per_decade(PER_DECADE, first, last) if times is None else _times(times)
     plateau = model.own_limits()[1][:, 0] < PLATEAU  # then G(t) stays what it is at the end of the span
     outside = (t < (0.0 if plateau[1] else first * (1 - 1e-9))) | (t > (np.inf if plateau[0] else last * (1 + 1e-9)))
     if outside.any():
@@ -114,7 +115,7 @@ def _sampled(source: Spectrum | ComplexModulus, omegas: ArrayLike | None) -> Com
     if isinstance(source, ComplexModulus) and omegas is None:
         return source
     model = _model(source, "G* at other frequencies")
-    modulus = ComplexModulus.sampled(model, _decades(*model.span) if omegas is None else omegas)
+    modulus = ComplexModulus.sampled(model, per_decade(PER_DECADE, *model.span) if omegas is None else omegas)
     unknown = ~np.isfinite(modulus.errors)
     if unknown.any():
         low, high = model.span
@@ -122,8 +123,31 @@ def _sampled(source: Spectrum | ComplexModulus, omegas: ArrayLike | None) -> Com
     return modulus
 
 
-def _decades(low: float, high: float) -> Array:
-    return np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * (np.log10(high) - np.log10(low)))))
+def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write an average as CSV: ω, the means of G′ and G″, their standard deviations and their standard errors.
+
+    Parameters
+    ----------
+    mean : Average
+    path : path
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists and ``overwrite`` is not set, or cannot be written.
+    """
+    check_output(path, overwrite=overwrite)
+    columns = [mean.omega]
+    for values in (mean.mean, mean.scatter, mean.error):
+        columns += [values.real, values.imag]
+    lines = [
+        f"# mean of {mean.count} packings; left out as not stable: {', '.join(mean.excluded) or 'none'}",
+        *[f"# not in balance: {', '.join(mean.unbalanced)}"] * bool(mean.unbalanced),
+        "# omega in 1/tau1, moduli in units of the potential; scatter: standard deviation; error: of mean",
+        "omega,G_storage,G_loss,scatter_storage,scatter_loss,error_storage,error_loss",
+    ]
+    write_atomically(path, _text(lines, columns, ","))
 
 
 def _times(times: ArrayLike) -> Array:
@@ -157,7 +181,7 @@ def _moduli(source: Spectrum | ComplexModulus) -> str:
 
 def _text(lines: Sequence[str], columns: Sequence[Array], separator: str) -> bytes:
     rows = (separator.join(f"{x:.16e}" for x in row) for row in zip(*columns, strict=True))
-    return "\n".join([*lines, *rows, ""]).encode("ascii")
+    return "\n".join([*lines, *rows, ""]).encode()
 
 
 FORMATS: dict[str, Callable[[Spectrum | ComplexModulus, ArrayLike | None], bytes]] = {"tts": tts, "gt": gt, "csv": csv}

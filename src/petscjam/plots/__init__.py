@@ -16,7 +16,7 @@ from petscjam.base.errors import InputError
 from petscjam.plots.correlations import plot_correlations
 from petscjam.plots.density import plot_density
 from petscjam.plots.drag import plot_drag
-from petscjam.plots.library import fit_phi_J, fit_power, plot_library
+from petscjam.plots.library import plot_library
 from petscjam.plots.modes import plot_modes, plot_relaxations
 from petscjam.plots.modulus import _draw_moduli as _draw_moduli
 from petscjam.plots.modulus import plot_moduli
@@ -28,8 +28,6 @@ from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 
 __all__ = [
-    "fit_phi_J",
-    "fit_power",
     "plot_correlations",
     "plot_density",
     "plot_drag",

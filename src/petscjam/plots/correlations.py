@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.correlations import Correlations, correlation_length
+from petscjam.analysis.statistics import Kind, alike
 from petscjam.plots.figure import given, save, solids
 
 CURVES = 7  # at most, in a panel
@@ -31,20 +32,16 @@ def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[
     """
     from matplotlib.figure import Figure
 
-    alike: dict[Any, dict[str, Correlations]] = {}
     kept, title = solids(results)
-    for name, c in kept.items():
-        p = float(f"{c.packing['pressure']:.1e}")
-        kind = str(c.damping), c.prestress, c.packing["particles"], p, tuple(c.omega)
-        alike.setdefault(kind, {})[name] = c
-    first = {kind[0]: (kind, some) for kind, some in reversed(alike.items())}
+    kinds = alike(kept)
+    first = {kind.law: (kind, some) for kind, some in reversed(kinds.items())}
     figure = Figure(figsize=(4.6 * len(first) + 5.8, 4.6), layout="constrained")
     panels = figure.subplots(1, 1 + len(first), width_ratios=[4.6] * len(first) + [5.8])
     for axes, (kind, some) in zip(panels, reversed(first.values()), strict=False):
         _draw_curves(axes, some)
-        law, prestress, n, p, _ = kind
-        axes.set_title(f"{law}, {given(prestress)}\nN = {n}, p = {p:g}, {len(some)} packings", fontsize=9)
-    _draw_lengths(panels[-1], alike)
+        what = f"N = {kind.particles}, p = {kind.pressure:g}, {len(some)} packings"
+        axes.set_title(f"{kind.law}, {given(kind.prestress)}\n{what}", fontsize=9)
+    _draw_lengths(panels[-1], kinds)
     figure.suptitle(title, fontsize=10)
     save(figure, path, results)
 
@@ -71,9 +68,9 @@ def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
     axes.legend(title=r"$\omega\tau_1$", frameon=False, fontsize=8)
 
 
-def _draw_lengths(axes: Any, alike: Mapping[Any, Mapping[str, Correlations]]) -> None:
+def _draw_lengths(axes: Any, kinds: Mapping[Kind, Mapping[str, Correlations]]) -> None:
     """Draw where the mean of C at peak stress crosses zero, with its error."""
-    for (law, prestress, n, p, _), some in alike.items():
+    for (law, prestress, n, p, _), some in kinds.items():
         mean = correlation_length(some, unstable=True)
         rising = np.argsort(mean.omega)
         axes.errorbar(

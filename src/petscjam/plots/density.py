@@ -8,6 +8,7 @@ from os import PathLike
 import numpy as np
 
 from petscjam.analysis.density import DensityOfStates, plateau
+from petscjam.analysis.statistics import nominal
 from petscjam.plots.figure import save
 
 
@@ -24,15 +25,15 @@ def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[st
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     axes = figure.subplots()
-    pressure = {name: f"{d.packing['pressure']:.1e}" for name, d in results.items()}
-    known = sorted(set(pressure.values()), key=float, reverse=True)
+    pressure = {name: nominal(d.packing["pressure"]) for name, d in results.items()}
+    known = sorted(set(pressure.values()), reverse=True)
     shades = colormaps["viridis"](np.linspace(0, 0.85, len(known)))
     blind = min(float(d.resolution.max()) for d in results.values())
     top = max(float(d.density.max()) for d in results.values())
     labels = set()
     for name, d in results.items():
         colour = shades[known.index(pressure[name])]
-        label = f"p = {pressure[name]}" + ("" if d.prestress else ", no pre-stress")
+        label = f"p = {pressure[name]:.3g}" + ("" if d.prestress else ", no pre-stress")
         omega = np.geomspace(blind / 3, 0.999 * d.edge, 800)
         curve, flat = d.at(omega), plateau(d)
         axes.loglog(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import write_atomically
@@ -65,10 +64,3 @@ def pressure_colours(pressures: Sequence[float]) -> Callable[[float], Any]:
 
     low, high = np.log(min(pressures)), np.log(max(pressures))
     return lambda p: colormaps["viridis"](0.9 * (np.log(p) - low) / (high - low) if high > low else 0.4)
-
-
-def errors(samples: Sequence[ArrayLike]) -> tuple[NDArray, NDArray]:
-    """Return the mean of each of ``samples``, and its standard error (of one: 0)."""
-    values = [np.asarray(some, dtype=float) for some in samples]
-    spread = [some.std(ddof=1) / len(some) ** 0.5 if len(some) > 1 else 0.0 for some in values]
-    return np.array([some.mean() for some in values]), np.array(spread)

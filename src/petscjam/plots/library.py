@@ -9,11 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from petscjam.analysis.jamming import BULK, excess_contacts, fit_phi_J, fit_power, in_window
+from petscjam.analysis.statistics import means, nominal
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.potential import potential
@@ -21,90 +23,6 @@ from petscjam.plots.figure import UNSTABLE, save
 
 COLUMNS = ("particles", "pressure", "target", "phi", "Z", "rattlers", "contacts", "lowest_eigenvalue", "proved")
 MARKERS = "osD^vP*X"
-# Where Z − Z_iso is fitted, with a of plot_library: where p^a·N² is above the one, N no longer matters; where
-# p^a is below the other (p in k), p does not yet.
-BULK, DENSE = 100.0, 1.1e-2
-
-
-class PowerLaw(NamedTuple):
-    """y = prefactor · x^exponent, with standard errors."""
-
-    exponent: float
-    exponent_error: float
-    prefactor: float
-    prefactor_error: float
-
-
-class JammingDensity(NamedTuple):
-    """φ = phi_J + slope · p^a, with standard errors, fitted to points up to the pressure ``highest``."""
-
-    phi_J: float
-    phi_J_error: float
-    slope: float
-    slope_error: float
-    highest: float
-
-
-def fit_power(x: ArrayLike, y: ArrayLike, error: ArrayLike | None = None) -> PowerLaw:
-    """Fit y = A·x^a: a straight line through log y against log x, weighted by the standard errors of y.
-
-    Errors too small for the scatter about the line are scaled up, as the Particle Data Group does. Without
-    ``error``, or where one is missing (NaN or 0), every log y weighs the same, and the errors of the fit
-    come from the scatter; of two points they are then NaN.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two different x, or a value that is not positive.
-    """
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if not ((x > 0) & (y > 0)).all():
-        raise InputError("fit: a power law needs values above 0")
-    relative = None if error is None else np.asarray(error, dtype=float) / y
-    (a, log_A), (a_error, log_A_error) = _line(np.log(x), np.log(y), relative)
-    A = float(np.exp(log_A))
-    return PowerLaw(a, a_error, A, A * log_A_error)
-
-
-def fit_phi_J(
-    p: ArrayLike, phi: ArrayLike, error: ArrayLike | None = None, *, exponent: float = 1.0, decades: float = 1.5
-) -> JammingDensity:
-    """Fit φ = φJ + c·p^a with a given a, over the lowest ``decades`` of the pressures.
-
-    Weights and errors are those of :func:`fit_power`. If fewer than three pressures lie within ``decades``
-    the lowest three are taken, or as many as there are.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two different pressures, or one is not positive.
-    """
-    p, phi = np.asarray(p, dtype=float), np.asarray(phi, dtype=float)
-    if not (p > 0).all():
-        raise InputError("fit: the pressures must be above 0")
-    rising = np.unique(p)
-    # A measured pressure is not exactly its target: let the last of the decades in.
-    highest = max(rising[0] * 10**decades * 1.05, rising[:3][-1]) if len(p) else 0.0
-    low = p <= highest
-    sigma = None if error is None else np.asarray(error, dtype=float)[low]
-    (c, phi_J), (c_error, phi_J_error) = _line(p[low] ** exponent, phi[low], sigma)
-    return JammingDensity(phi_J, phi_J_error, c, c_error, float(p[low].max()))
-
-
-def _line(x: Array, y: Array, error: Array | None) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Fit a straight line; return slope and intercept, and their standard errors."""
-    if len(np.unique(x)) < 2:
-        raise InputError(f"fit: a line needs two different points, not {len(np.unique(x))}")
-    known = error is not None and bool((np.isfinite(error) & (error > 0)).all())
-    weights = 1 / error if error is not None and known else np.ones(len(x))
-    (slope, intercept), covariance = np.polyfit(x, y, 1, w=weights, cov="unscaled")
-    free = len(x) - 2
-    chi2 = float(((weights * (y - slope * x - intercept)) ** 2).sum())
-    scale = chi2 / free if free else np.nan
-    if known:
-        scale = np.fmax(scale, 1.0)
-    slope_error, intercept_error = np.sqrt(scale * covariance.diagonal())
-    return (float(slope), float(intercept)), (float(slope_error), float(intercept_error))
 
 
 @dataclass(frozen=True)
@@ -127,12 +45,7 @@ class _Size:
 
     def mean(self, values: Array) -> tuple[Array, Array]:
         """Mean over the sound packings of each target, and its standard error (of one: NaN), (m,)."""
-        means, errors = [], []
-        for target in self.targets:
-            some = values[self.sound & (self.target == target)]
-            means.append(some.mean())
-            errors.append(some.std(ddof=1) / np.sqrt(len(some)) if len(some) > 1 else np.nan)
-        return np.array(means), np.array(errors)
+        return means(values[self.sound & (self.target == target)] for target in self.targets)
 
 
 def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -> None:
@@ -142,17 +55,13 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
     packings. Those that are judged and not proved minima are crosses, and count for nothing else. Those
     without pressure or contacts are not jammed: they are counted in the title, and not drawn.
 
-    The isostatic number of contacts of the N' disks of the backbone is that of Goodrich, Liu and Nagel,
-    Phys. Rev. Lett. 109, 095704 (2012): a periodic packing with a positive bulk modulus needs at least
-    N_iso = d·N' − d + 1 contacts, in two dimensions Z_iso = 2·N_iso/N' = 4 − 2/N'. A packing with no
-    contact to spare has Z = Z_iso, and no place on a logarithmic axis.
-
-    Overlaps of contacts of exponent α grow as p^a, a = 1/(α − 1), and so does φ − φJ; Z − Z_iso grows as
-    its root. The exponent of Z − Z_iso is fitted to the means of p^a·N² > 100, where the number of disks no
-    longer matters (same paper, for α = 2), and p^a ≤ 0.01; its error is that of the means, and does not know
-    of the window. φJ of each N comes from :func:`fit_phi_J`, with the exponent a. λ is the lowest eigenvalue
-    of K with pre-stress, ω = √λ the frequency of disks of unit mass; of each N and target the fraction of
-    packings below ω is drawn.
+    Z_iso is that of :func:`petscjam.analysis.jamming.excess_contacts`; a packing with Z = Z_iso has no place on
+    a logarithmic axis. Overlaps of contacts of exponent α grow as p^a, a = 1/(α − 1), and so does φ − φJ;
+    Z − Z_iso grows as p^(a/2). This is fitted to the means :func:`petscjam.analysis.jamming.in_window`; its
+    error is that of the means, and does not know of the window. φJ of each N comes from
+    :func:`petscjam.analysis.jamming.fit_phi_J`, with the exponent a. λ is the lowest eigenvalue of K with
+    pre-stress, ω = √λ the frequency of disks of unit mass; of each N and target the fraction of packings below
+    ω is drawn.
 
     Parameters
     ----------
@@ -210,10 +119,8 @@ def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
         name: np.array([np.nan if row[name] is None else row[name] for row in jammed], dtype=float) for name in COLUMNS
     }
     n, p, target = table["particles"], table["pressure"], table["target"]
-    target = np.where(target > 0, target, [float(f"{x:.1e}") for x in p])
-    backbone = n - table["rattlers"]
-    backbone[backbone == 0] = np.nan
-    excess = 2 * (table["contacts"] - (2 * backbone - 1)) / backbone
+    target = np.where(target > 0, target, [nominal(x) for x in p])
+    excess = excess_contacts(n, table["rattlers"], table["contacts"])
     columns = (target, p, table["phi"], excess, table["lowest_eigenvalue"], table["proved"] != 0)
     return [_Size(int(m), MARKERS[s % len(MARKERS)], *(c[n == m] for c in columns)) for s, m in enumerate(np.unique(n))]
 
@@ -247,13 +154,11 @@ def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> No
     curves = [(size, size.excess, f"N = {size.particles}") for size in sizes]
     _draw_curves(axes, curves, colour, "with no contact to spare, no dot")
     axes.set_ylabel(r"$Z - Z_\mathrm{iso}$,  $Z_\mathrm{iso} = 4 - 2/N'$")
-    bulk = [
-        point
-        for size in sizes
-        for point in zip(size.mean(size.p)[0], *size.mean(size.excess), strict=True)
-        if point[0] ** a * size.particles**2 > BULK and point[0] ** a < DENSE and point[1] > 0
-    ]
-    p, mean, error = np.array(bulk).reshape(-1, 3).T
+    bulk = []
+    for size in sizes:
+        points = np.array([size.mean(size.p)[0], *size.mean(size.excess)])
+        bulk.append(points[:, in_window(points[0], size.particles, a) & (points[1] > 0)])
+    p, mean, error = np.concatenate(bulk, axis=1)
     if len(np.unique(p)) > 1:
         fit = fit_power(p, mean, error)
         span = np.array([p.min(), p.max()])

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.statistics import alike, average
 from petscjam.base.errors import SolverError
-from petscjam.io.jobs import average
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
@@ -112,12 +112,7 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
 
 def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     """Draw mean ± standard error over stable packings of one size and pressure under one law."""
-    alike: dict[Any, dict[str, ComplexModulus]] = {}
-    for name, g in results.items():
-        if g.stable:
-            kind = (g.damping, g.prestress, g.packing["particles"], f"{g.packing['pressure']:.1e}")
-            alike.setdefault((*kind, tuple(g.omega)), {})[name] = g
-    for some in alike.values():
+    for some in alike({name: g for name, g in results.items() if g.stable}).values():
         if len(some) < 3:
             continue
         mean = average(some)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.plots.figure import LOSS, STORAGE, errors, given, pressure_colours, save, solids
+from petscjam.analysis.statistics import by_pressure, means
+from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, save, solids
 
 LABELS = {
     "parallel": r"$|\Delta u^\parallel|/\gamma$",
@@ -47,55 +48,33 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     save(figure, path, results)
 
 
-def _groups(results: list[QuasistaticResponse]) -> dict[tuple[float, bool], list[QuasistaticResponse]]:
-    """Return the results by pressure (to two digits) and pre-stress."""
-    groups: dict[tuple[float, bool], list[QuasistaticResponse]] = {}
-    for r in results:
-        groups.setdefault((float(f"{r.packing['pressure']:.1e}"), r.prestress), []).append(r)
-    return dict(sorted(groups.items()))
-
-
 def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
     """Draw the probability density of the logarithm, so that tails of any width show."""
-    for (pressure, prestress), some in _groups(results).items():
-        sizes = np.concatenate([r.sizes(motion) for r in some])
-        if not sizes.any():
-            continue
-        density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
-        middle = (edges[1:] + edges[:-1]) / 2
-        axes.semilogx(
-            10**middle,
-            density,
-            color=colours(pressure),
-            ls="-" if prestress else "--",
-            lw=1.2,
-            label=f"p = {pressure:.2g}",
-        )
+    for prestress, style in ((False, "--"), (True, "-")):
+        for pressure, some in by_pressure(results, prestress=prestress).items():
+            sizes = np.concatenate([r.sizes(motion) for r in some])
+            if not sizes.any():
+                continue
+            density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
+            middle, label = (edges[1:] + edges[:-1]) / 2, f"p = {pressure:.2g}"
+            axes.semilogx(10**middle, density, style, color=colours(pressure), lw=1.2, label=label)
     axes.set(xlabel=LABELS[motion], ylabel=r"density of $\log_{10}$")
     if len(handles := dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))) <= 8:
         axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
 
 
 def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
-    groups = _groups(results)
     for motion in MOTIONS:
         colour, marker = STYLES[motion]
         for prestress in (True, False):
-            some = {p: group for (p, kept), group in groups.items() if kept == prestress}
-            medians = [[np.median(r.sizes(motion)) for r in group] for group in some.values()]
-            if not medians:
+            groups = by_pressure(results, prestress=prestress)
+            if not groups:
                 continue
-            axes.errorbar(
-                list(some),
-                *errors(medians),
-                fmt=marker,
-                color=colour,
-                mfc=colour if prestress else "white",
-                ms=6,
-                label=f"median {LABELS[motion]}, {given(prestress)}",
-            )
-            means = [np.mean([r.sizes(motion).mean() for r in group]) for group in some.values()]
-            axes.plot(list(some), means, ":" if prestress else "-.", color=colour, lw=1)
+            label, face = f"median {LABELS[motion]}, {given(prestress)}", colour if prestress else "white"
+            medians = means([np.median(r.sizes(motion)) for r in some] for some in groups.values())
+            axes.errorbar(list(groups), *medians, fmt=marker, color=colour, mfc=face, ms=6, label=label)
+            mean, _ = means([r.sizes(motion).mean() for r in some] for some in groups.values())
+            axes.plot(list(groups), mean, ":" if prestress else "-.", color=colour, lw=1)
     axes.plot([], [], "k:", lw=1, label="means (dash-dotted: without pre-stress)")
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$ (units of $k$)", ylabel="motion per unit strain")
     axes.legend(frameon=False, fontsize=8)

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.box import Box
 from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
-from petscjam.plots.figure import LOSS, STABLE, STORAGE, errors, save
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, save
 from petscjam.plots.packing import OUTLINED
 
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
@@ -451,5 +452,5 @@ def _point(alike: list[Run], value: Callable[[Run], Any]) -> Mean:
     means = [run.mean(value(run)) for run in alike]
     if len(means) == 1:
         return means[0]
-    mean, error = errors([[m.value for m in means]])
-    return Mean(float(mean[0]), float(error[0]))
+    values = [m.value for m in means]
+    return Mean(float(np.mean(values)), float(standard_error(values)))

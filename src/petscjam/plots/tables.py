@@ -12,6 +12,7 @@ from petscjam.analysis.density import DensityOfStates, plateau
 from petscjam.analysis.drag import NonlinearModulus
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.rebuilt import Rebuilt
+from petscjam.analysis.statistics import alike, nominal, standard_error
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
@@ -95,7 +96,7 @@ def describe_library(library: Library) -> str:
     ]
     groups: dict[tuple[int, float], tuple[list, list]] = {}
     for k, row in enumerate([*rows, *failed]):
-        target = row["target"] or float(f"{row['pressure']:.1e}")
+        target = row["target"] or nominal(row["pressure"])
         groups.setdefault((row["particles"], target), ([], []))[k >= len(rows)].append(row)
     for (n, target), (some, lost) in sorted(groups.items(), key=lambda item: (item[0][0], -item[0][1])):
         phi, Z, rattlers = ([row[name] for row in some] for name in ("phi", "Z", "rattlers"))
@@ -182,7 +183,7 @@ def _mean(values: list[float]) -> str:
     """Write mean ± standard error."""
     if len(values) < 2:
         return f"{values[0]:.6f}" if values else "—"
-    return f"{np.mean(values):.6f} ± {np.std(values, ddof=1) / len(values) ** 0.5:.6f}"
+    return f"{np.mean(values):.6f} ± {standard_error(values):.6f}"
 
 
 def table(results: Mapping[str, Any]) -> str:
@@ -346,24 +347,14 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
             f"{limits} {worst:8.1e}  {g.state}"
         )
         lines += [f"{'':{width}} {note}" for note in g.notes]
-    alike: dict[tuple[int, str], list[ComplexModulus]] = {}
-    for g in results.values():
-        if g.stable:
-            alike.setdefault((g.packing["particles"], f"{g.packing['pressure']:.1e}"), []).append(g)
-    for (n, pressure), some in alike.items():
+    for kind, some in alike({name: g for name, g in results.items() if g.stable}).items():
         if len(some) > 1:
-            for label, take in ((f"mean of {len(some)} stable", np.mean), ("± its error", _error)):
-                names = ("G0", "eta0", "G_inf", "eta_inf")
-                means = [float(take([getattr(g, name) for g in some])) for name in names]
-                lines.append(
-                    f"{label:{width}} {n:7d} {'':8} {pressure:>9} {'':6} " + " ".join(f"{_value(x):>12}" for x in means)
-                )
+            values = np.array([[g.G0, g.eta0, g.G_inf, g.eta_inf] for g in some.values()])
+            rows = {f"mean of {len(some)} stable": values.mean(0), "± its error": standard_error(values)}
+            for label, row in rows.items():
+                head = f"{label:{width}} {kind.particles:7d} {'':8} {kind.pressure:9.2e} {'':6}"
+                lines.append(" ".join([head, *(f"{_value(x):>12}" for x in row)]))
     return "\n".join(lines)
-
-
-def _error(values: list[float]) -> float:
-    """Return the standard error of the mean."""
-    return float(np.std(values, ddof=1) / len(values) ** 0.5)
 
 
 def _value(x: float) -> str:

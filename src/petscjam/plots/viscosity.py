@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 
-import numpy as np
-
+from petscjam.analysis.statistics import alike, means
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.plots.figure import errors, given, save, solids
+from petscjam.plots.figure import given, save, solids
 
 
 def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) -> None:
@@ -23,16 +22,15 @@ def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) 
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     axes = figure.subplots()
-    curves: dict[tuple[str, int, bool], dict[float, list[float]]] = {}
     kept, title = solids(results)
-    for r in kept.values():
-        curve = curves.setdefault((str(r.damping), r.packing["particles"], r.prestress), {})
-        curve.setdefault(float(f"{r.packing['pressure']:.1e}"), []).append(r.eta0)
+    curves: dict[tuple[str, int, bool], dict[float, list[float]]] = {}
+    for kind, some in sorted(alike(kept).items()):
+        curve = curves.setdefault((kind.law, kind.particles, kind.prestress), {})
+        curve[kind.pressure] = [r.eta0 for r in some.values()]
     for (law, n, prestress), curve in sorted(curves.items()):
-        p = np.array(sorted(curve))
         axes.errorbar(
-            p,
-            *errors([curve[x] for x in p]),
+            list(curve),
+            *means(curve.values()),
             fmt="o-" if prestress else "s--",
             mfc=None if prestress else "white",
             ms=5,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
-from petscjam.base.types import Array
+from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
@@ -32,7 +32,7 @@ from petscjam.response.spectrum import Spectrum, relaxed
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import strain_mode
 
-PER_DECADE = 4, 4  # points of the grid in ω and β
+PER_DECADE = 4  # points of the grid in ω and β
 MOST_NODES = 80
 SOFT = 0.03  # frequency, over the rate of a contact, above which motions respond ever less
 SAFETY = 10  # times the error that the nodes tell
@@ -161,7 +161,8 @@ def beta_family(
         direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
     ):
         motions = Motions(problem, pencil, solver)
-        grid = np.array(np.meshgrid(*_axes(span, betas), indexing="ij")).reshape(2, -1).T
+        axes = [per_decade(PER_DECADE, *ends) for ends in (span, betas)]
+        grid = np.array(np.meshgrid(*axes, indexing="ij")).reshape(2, -1).T
         nodes, estimate = _grow(motions, grid, rtol, progress)
         fields = motions.displacements() if displacements else None
         K, B1, B0 = motions.reduced
@@ -223,13 +224,6 @@ def beta_family(
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0")
         family = replace(family, G0=(found.G, found.residual))
     return family
-
-
-def _axes(span: tuple[float, float], betas: tuple[float, float]) -> list[Array]:
-    return [
-        np.geomspace(low, high, 1 + int(np.ceil(each * np.log10(high / low))))
-        for (low, high), each in zip((span, betas), PER_DECADE, strict=True)
-    ]
 
 
 def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:

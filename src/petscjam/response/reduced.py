@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.progress import Report
-from petscjam.base.types import Array
+from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve, total
@@ -193,7 +193,7 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
 def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
     """Add nodes where the bound is worst until it is met, or cannot be; return the model."""
     (low, high), rtol, comm = make.keywords["span"], make.keywords["rtol"], grow.problem.comm
-    grid = np.geomspace(low, high, 1 + int(np.ceil(PER_DECADE * (np.log10(high) - np.log10(low)))))
+    grid = per_decade(PER_DECADE, low, high)
     candidates = grid[EVERY:-EVERY:EVERY] if len(grid) > 2 * EVERY else grid[1:-1]
     for omega in np.unique([low, high]):
         grow.add(omega, order=1)

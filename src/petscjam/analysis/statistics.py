@@ -1,0 +1,170 @@
+"""Means over packings: which results are averaged together, and with what standard error.
+
+Axes: k packing, m group, w frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.response.origin import frequencies
+from petscjam.response.result import ComplexModulus
+
+R = TypeVar("R")
+
+
+def deviation(samples: ArrayLike) -> Any:
+    """Return s = (Σ(x − x̄)²/(n − 1))^½ over the first axis; NaN of one sample; of complex ones, part by part."""
+    values = np.asarray(samples)
+    if np.iscomplexobj(values):
+        return deviation(values.real) + 1j * deviation(values.imag)
+    return values.std(0, ddof=1) if len(values) > 1 else np.full(values.shape[1:], np.nan)[()]
+
+
+def standard_error(samples: ArrayLike) -> Any:
+    """Return the standard error s/√n of the mean over the first axis (:func:`deviation`)."""
+    values = np.asarray(samples)
+    return deviation(values) / np.sqrt(len(values))
+
+
+def means(samples: Iterable[ArrayLike]) -> tuple[Array, Array]:
+    """Return the mean of each set of ``samples`` and its standard error, (m,) and (m,)."""
+    sets = [np.asarray(some, dtype=float) for some in samples]
+    return np.array([some.mean() for some in sets]), np.array([standard_error(some) for some in sets])
+
+
+def nominal(pressure: float) -> float:
+    """Return ``pressure`` to three digits: packings prepared for one pressure then have the same."""
+    return float(f"{pressure:.2e}")
+
+
+def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
+    """Return the results by nominal pressure, the lowest first.
+
+    Parameters
+    ----------
+    results : iterable
+        Results of packings.
+    **same
+        Attributes that a result must have to be taken, compared as text: ``prestress=False``.
+    """
+    groups: dict[float, list[R]] = {}
+    for r in results:
+        if all(str(getattr(r, key)) == str(value) for key, value in same.items()):
+            groups.setdefault(nominal(r.packing["pressure"]), []).append(r)  # type: ignore[attr-defined]
+    return dict(sorted(groups.items()))
+
+
+class Kind(NamedTuple):
+    """What results that are averaged have in common; the law is empty, the grid too, of results without."""
+
+    law: str
+    prestress: bool
+    particles: int
+    pressure: float
+    omega: tuple[float, ...]
+
+
+def alike(results: Mapping[str, R]) -> dict[Kind, dict[str, R]]:
+    """Return the results, by name, of each :class:`Kind`, in the order in which the kinds come."""
+    groups: dict[Kind, dict[str, R]] = {}
+    for name, r in results.items():
+        origin: Any = r
+        kind = Kind(
+            str(getattr(r, "damping", "")),
+            origin.prestress,
+            origin.packing["particles"],
+            nominal(origin.packing["pressure"]),
+            tuple(getattr(r, "omega", ())),
+        )
+        groups.setdefault(kind, {})[name] = r
+    return groups
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """G* over packings on a common grid. Units as those of the moduli.
+
+    Attributes
+    ----------
+    omega : (W,)
+    mean : (W,) complex
+    scatter : (W,) complex
+        Standard deviations of G′ and of G″ over packings.
+    error : (W,) complex
+        Standard errors of the two means.
+    count : int
+        Packings that were averaged.
+    excluded : tuple of str
+        Packings that were not, not being stable.
+    unbalanced : tuple of str
+        Packings that were averaged and are not in balance: without pre-stress that makes none unstable.
+    """
+
+    omega: Array
+    mean: NDArray[np.complex128]
+    scatter: NDArray[np.complex128]
+    error: NDArray[np.complex128]
+    count: int
+    excluded: tuple[str, ...] = ()
+    unbalanced: tuple[str, ...] = ()
+
+
+def average(
+    results: Mapping[str, ComplexModulus], omegas: ArrayLike | None = None, *, unstable: bool = False
+) -> Average:
+    """Average G* over the results of one law.
+
+    Parameters
+    ----------
+    results : mapping of ComplexModulus
+        By name.
+    omegas : (W,), optional
+        Angular frequencies, 1/τ1. Left out: the grid that all results have in common.
+    unstable : bool
+        Average packings that are not stable, too. Otherwise ``excluded`` names them.
+
+    Returns
+    -------
+    Average
+
+    Raises
+    ------
+    InputError
+        If no result is left, settings differ, or a result has no value at one of the frequencies.
+    """
+    kept = {name: g for name, g in results.items() if unstable or g.stable}
+    if not kept:
+        name, other = next(iter(results.items()), ("", None))
+        reason = f"; {name}: {other.state}" if other else ""
+        raise InputError(f"average: none of {len(results)} packings is stable{reason}")
+    if len({(g.damping, g.strain, g.prestress, g.packing["potential"]) for g in kept.values()}) > 1:
+        raise InputError("average: the results have different laws, strains, pre-stress or potentials")
+    first = next(iter(kept.values()))
+    omega = first.omega if omegas is None else frequencies(omegas)
+    values: NDArray[np.complex128] = np.array([_at(name, g, omega) for name, g in kept.items()])
+    return Average(
+        omega,
+        values.mean(0),
+        deviation(values),
+        standard_error(values),
+        len(values),
+        excluded=tuple(name for name in results if name not in kept),
+        unbalanced=tuple(name for name, g in kept.items() if g.packing.get("balanced") is False),
+    )
+
+
+def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:
+    """Return G* at ``omega``, from the model where that is not the grid of the result."""
+    if np.array_equal(g.omega, omega):
+        return g.values
+    if g.model is None or omega.min() < g.model.span[0] or omega.max() > g.model.span[1]:
+        raise InputError(f"average: {name} is not known on this grid")
+    return g.model(omega)
