@@ -10,7 +10,7 @@ from petscjam.analysis.statistics import average
 from petscjam.base.errors import InputError
 from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-from petscjam.io.jobs import sweep
+from petscjam.io.jobs import Ensemble, ModulusAnalysis, analyse
 from petscjam.parallel.comm import on_root
 
 OMEGA = np.geomspace(1e-4, 10, 6)
@@ -31,9 +31,12 @@ def packings(tmp_path_factory):
     return on_root(MPI.COMM_WORLD, prepare)
 
 
-def run(files, output, comm, **options):
-    settings = {"laws": [pj.ContactDamping()], "comm": comm, "log": lambda line: None, **options}
-    return sweep(files, OMEGA, output, **settings)
+ROLLING = [pj.ContactDamping()]
+
+
+def run(files, output, comm, *, laws=ROLLING, log=lambda line: None, settings=None, **options):
+    analysis = ModulusAnalysis(OMEGA, **(settings or {}))
+    return analyse(Ensemble(files, output, laws, **options), analysis, comm=comm, log=log)
 
 
 def shared(tmp_path, comm):
@@ -126,20 +129,21 @@ def test_resume_with_more_laws_makes_no_result_twice(packings, tmp_path, comm):
     [({"rtol": 1e-2}, {"rtol": 1e-8}, "rtol"), ({}, {"direct": True}, "reduced"), ({"direct": True}, {}, "solve")],
 )
 def test_resume_refuses_what_was_found_in_another_way(packings, tmp_path, comm, first, then, named):
-    run(packings[:1], tmp_path / "g.h5", comm, **first)
+    run(packings[:1], tmp_path / "g.h5", comm, settings=first)
     with pytest.raises(InputError, match=named):
-        run(packings, tmp_path / "g.h5", comm, resume=True, **then)
+        run(packings, tmp_path / "g.h5", comm, resume=True, settings=then)
 
 
 @pytest.mark.parametrize(
     "laws", [[pj.ContactDamping(b) for b in (0.1, 1, 10, 100)], [pj.StokesDrag(0), pj.StokesDrag(9)]]
 )
 def test_results_do_not_depend_on_resuming(packings, tmp_path, comm, laws):
-    run(packings[:1], tmp_path / "whole.h5", comm, laws=laws, rtol=1e-2)
-    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, rtol=1e-2)
+    settings = {"rtol": 1e-2, "family": True}
+    run(packings[:1], tmp_path / "whole.h5", comm, laws=laws, settings=settings)
+    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, settings=settings)
     with atomic_h5(tmp_path / "parts.h5", existing=True) as h5:
         del h5[next(iter(h5))]
-    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, rtol=1e-2, resume=True)
+    run(packings[:1], tmp_path / "parts.h5", comm, laws=laws, settings=settings, resume=True)
     whole, parts = (pj.read_moduli(tmp_path / name) for name in ("whole.h5", "parts.h5"))
     assert whole.keys() == parts.keys()
     for name, g in whole.items():
@@ -164,7 +168,7 @@ def test_a_line_of_the_log_says_what_it_cost(packings, tmp_path, comm):
 
 def test_direct_moduli_of_several_laws(packings, tmp_path, comm):
     laws = [pj.ContactDamping(beta) for beta in (0.1, 0.2, 0.3, 0.4)]
-    run(packings[:1], tmp_path / "g.h5", comm, laws=laws, direct=True)
+    run(packings[:1], tmp_path / "g.h5", comm, laws=laws, settings={"direct": True})
     results = pj.read_moduli(tmp_path / "g.h5").values()
     assert {g.damping for g in results} == {str(law) for law in laws}
     assert all(g.model is None and g.performance["factorisations"] == len(OMEGA) for g in results)
@@ -343,13 +347,17 @@ def test_a_family_does_not_depend_on_the_ranks(packings, comm):
     assert abs(ours(0.2)(omega) / alone(0.2)(omega) - 1).max() < 1e-10
 
 
-def test_a_sweep_over_beta_is_one_model(packings, tmp_path):
+@pytest.mark.parametrize("family", [True, False])
+def test_several_beta_are_one_model_if_that_is_asked_for(packings, tmp_path, capsys, family):
     output = tmp_path / "g.h5"
-    assert main(["moduli", str(packings[0]), "--beta", "1e-3:10:5", "-o", str(output)]) == 0
+    arguments = ["moduli", str(packings[0]), "--beta", "1e-3:10:5", "-o", str(output)]
+    assert main([*arguments, "--beta-family"] if family else arguments) == 0
     results = list(pj.read_moduli(output).values())
-    assert len(results) == 5
-    assert len({tuple(g.model.nodes) for g in results}) == 1
     assert {g.damping for g in results} == {str(pj.ContactDamping(beta)) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)}
+    assert len({tuple(g.model.nodes) for g in results}) == (1 if family else 5)
+    assert [g.model.definite for g in results] == [not family] * 5  # estimates, or certificates
+    way = "one model in (omega, beta) a packing; its errors are estimates" if family else "solved for one by one"
+    assert f"5 values of beta: {way}\n" in capsys.readouterr().out
 
 
 def test_all_viscosities_of_the_fluid_are_one_model(packings, tmp_path):

@@ -17,6 +17,7 @@ from petscjam.figures import FIGURES, make_figure, presets
 from petscjam.figures.modes import WITHIN, enough
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study
+from petscjam.io.jobs import PackingAnalysis
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
@@ -344,7 +345,7 @@ def test_a_packing_that_took_the_place_of_another_is_not_mixed_with_it(packings,
     study = Study("bt5", "tiny", one, packings, comm, existing=True)
     files = [packings / "packings" / "N64_p0.01_s0002.h5"]
     study.checksums[files[0]] = other.checksum
-    found = study.survey(files, pj.quasistatic_response, {}, prestress=(True, False))
+    found = study.results(files, PackingAnalysis(pj.quasistatic_response), prestress=(True, False))
     assert [r.packing["checksum"] for r in found.values()] == [other.checksum] * 2
     assert len(read_results(packings / "bt5.h5")) == 6
 
@@ -376,7 +377,7 @@ def test_a_result_that_fails_again_does_not_stop_the_figure(packings, comm):
     study = Study("bt5", "tiny", {"seeds": "1:3"}, packings, comm, existing=True)
     files = study.packings(64, [1e-2])
     for _ in range(2):
-        assert len(study.survey(files, tide, {})) == 2
+        assert len(study.results(files, PackingAnalysis(tide))) == 2
 
 
 # --- ranks

@@ -7,7 +7,7 @@ import pytest
 
 import petscjam as pj
 from petscjam.figures import make_figure
-from petscjam.io.jobs import survey, sweep
+from petscjam.io.jobs import Ensemble, ModulusAnalysis, PackingAnalysis, analyse
 from petscjam.md.grid import grid, run_grid
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -53,11 +53,16 @@ ENTRIES = {
     "prepare_library, recipe": lambda p, odd, folder, **c: pj.prepare_library(
         folder / "lib", [16], [1e-2], **({"sizes": 1} if odd else {}), **c
     ),
-    "sweep": lambda p, odd, folder, **c: sweep(
-        [SIXTEEN], [0.1, 1.0], folder / "g.h5", laws=[pj.ContactDamping(0.1 + odd)], **c
+    "analyse, laws": lambda p, odd, folder, **c: analyse(
+        Ensemble([SIXTEEN], folder / "g.h5", [pj.ContactDamping(0.1 + odd)]), ModulusAnalysis([0.1, 1.0]), **c
     ),
-    "survey": lambda p, odd, folder, **c: survey(
-        [SIXTEEN], folder / "s.h5", pj.viscosity, {"strain": "pure-shear" if odd else "simple-shear"}, **c
+    "analyse, frequencies": lambda p, odd, folder, **c: analyse(
+        Ensemble([SIXTEEN], folder / "g.h5", [pj.ContactDamping()]), ModulusAnalysis([0.1, 1.0 + odd]), **c
+    ),
+    "analyse, options": lambda p, odd, folder, **c: analyse(
+        Ensemble([SIXTEEN], folder / "s.h5"),
+        PackingAnalysis(pj.viscosity, {"strain": "pure-shear" if odd else "simple-shear"}),
+        **c,
     ),
     "run_grid": lambda p, odd, folder, **c: run_grid(
         grid(["CD"], [16], [0.8], [1.0], [1e-2], [1 + odd]), folder / "grid", pj.md.run, log=print, **c

@@ -12,7 +12,7 @@ import petscjam as pj
 from petscjam.analysis.viscosity import Viscosity
 from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.io.jobs import survey
+from petscjam.io.jobs import Ensemble, PackingAnalysis, analyse
 from petscjam.io.results import KINDS, inventory, is_result, read_results
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
@@ -51,6 +51,10 @@ OTHERS = {
     "uniform": (["--omega", "1e-3,2"], "omegas=[0.001, 2.0]"),
 }
 verbs = pytest.mark.parametrize("verb", VERBS)
+
+
+def analysed(files, output, function, comm, log=lambda line: None, **options):
+    return analyse(Ensemble(files, output), PackingAnalysis(function, options), comm=comm, log=log)
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +194,7 @@ def test_every_kind_of_result_has_a_table():
 
 def test_a_kind_without_a_picture_says_so(folder, tmp_path, capfd, comm):
     output = tmp_path / "rebuilt.h5"
-    survey([folder / "p1.h5"], output, pj.rebuilt_response, {"count": 5}, comm=comm, log=lambda line: None)
+    analysed([folder / "p1.h5"], output, pj.rebuilt_response, comm, count=5)
     (kind,) = {type(r) for r in read_results(output).values()}
     assert kind not in PICTURES
     assert kind.__name__ in refused(capfd, "plot", output, "-o", tmp_path / "out.png")
@@ -397,25 +401,25 @@ def test_one_packing_that_cannot_be_solved_is_one_line(loose, tmp_path, capfd):
 
 
 def test_a_failure_of_the_numerics_is_told_like_bad_input(folder, tmp_path, comm):
-    def analyse(packing, *, name, **_):
+    def shore(packing, *, name, **_):
         if name == "p2":
             raise SolverError("the tide was high")
         return pj.viscosity(packing, name=name)
 
     files = sorted(folder.glob("*.h5"))
-    made, failures = survey(files, tmp_path / "v.h5", analyse, {}, comm=comm, log=lambda line: None)
+    made, failures = analysed(files, tmp_path / "v.h5", shore, comm)
     assert made == 2
     assert failures == ["the tide was high"]
 
 
 def test_bad_input_of_one_packing_names_its_file(folder, tmp_path, comm):
-    def analyse(packing, *, name, **_):
+    def shore(packing, *, name, **_):
         if name == "p2":
             raise InputError("too loose")
         return pj.viscosity(packing, name=name)
 
     files = sorted(folder.glob("*.h5"))
-    _, failures = survey(files, tmp_path / "v.h5", analyse, {}, comm=comm, log=lambda line: None)
+    _, failures = analysed(files, tmp_path / "v.h5", shore, comm)
     assert failures == [f"{folder / 'p2.h5'}: too loose"]
 
 
@@ -426,7 +430,7 @@ def test_bad_input_of_one_packing_names_its_file(folder, tmp_path, comm):
 def test_every_rank_has_its_share(folder, tmp_path, comm):
     lines = []
     files, output = sorted(folder.glob("*.h5")), comm.bcast(tmp_path / "v.h5")
-    made, failures = survey(files, output, pj.viscosity, {}, comm=comm, log=lines.append)
+    made, failures = analysed(files, output, pj.viscosity, comm, log=lines.append)
     assert (made, failures) == (3, [])
     shares = comm.allgather(len(lines))
     assert sum(shares) == 3
@@ -453,7 +457,7 @@ def test_a_team_of_two_finds_the_same(folder, tmp_path, comm, verb):
 def test_a_failure_on_one_rank_is_known_to_all(folder, loose, tmp_path, comm):
     loose, output = comm.bcast(loose), comm.bcast(tmp_path / "v.h5")
     files = [loose, *sorted(folder.glob("*.h5"))]
-    made, failures = survey(files, output, pj.viscosity, {}, comm=comm, log=lambda line: None)
+    made, failures = analysed(files, output, pj.viscosity, comm)
     assert made == 3
     assert len(failures) == 1
     assert failures == comm.bcast(failures)

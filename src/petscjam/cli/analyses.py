@@ -9,7 +9,7 @@ from typing import Any
 
 from petscjam.base.errors import InputError
 from petscjam.cli.laws import chosen_laws, law_options
-from petscjam.cli.verbs import all_packings, finish, say
+from petscjam.cli.verbs import analysed, finish, say
 from petscjam.parallel.comm import on_root
 from petscjam.rows.damping import DampingLaw
 
@@ -18,7 +18,7 @@ def nonaffine(options: argparse.Namespace, comm: Any) -> None:
     """Find the quasi-static response of packing after packing."""
     from petscjam.analysis.nonaffine import quasistatic_response
 
-    _survey(options, comm, quasistatic_response, {"strain": options.strain})
+    _analyse(options, comm, quasistatic_response, {"strain": options.strain})
 
 
 def modes(options: argparse.Namespace, comm: Any) -> None:
@@ -28,11 +28,11 @@ def modes(options: argparse.Namespace, comm: Any) -> None:
 
     settings = {"count": options.count, "strain": options.strain}
     if options.relaxation:
-        _survey(options, comm, relaxation_modes, settings, chosen_laws(options))
+        _analyse(options, comm, relaxation_modes, settings, chosen_laws(options))
     elif law_options(options):
         raise InputError(f"modes: {law_options(options)[0]} goes with --relaxation")
     else:
-        _survey(options, comm, lowest_modes, settings)
+        _analyse(options, comm, lowest_modes, settings)
 
 
 def density(options: argparse.Namespace, comm: Any) -> None:
@@ -40,7 +40,7 @@ def density(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.analysis.density import density_of_states
 
     settings = {"moments": options.moments, "vectors": options.vectors, "seed": options.seed}
-    _survey(options, comm, density_of_states, settings)
+    _analyse(options, comm, density_of_states, settings)
 
 
 def correlations(options: argparse.Namespace, comm: Any) -> None:
@@ -48,7 +48,7 @@ def correlations(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.analysis.correlations import correlations
 
     settings = {"omegas": options.omega, "width": options.width, "bin": options.bin}
-    _survey(options, comm, correlations, settings, chosen_laws(options))
+    _analyse(options, comm, correlations, settings, chosen_laws(options))
 
 
 def drag(options: argparse.Namespace, comm: Any) -> None:
@@ -57,14 +57,14 @@ def drag(options: argparse.Namespace, comm: Any) -> None:
     from petscjam.analysis.drag import equivalent_drag
 
     settings = {"omegas": options.omega, "stress": options.stress, "alpha": options.alpha, "strain": options.strain}
-    _survey(options, comm, equivalent_drag if options.uniform else self_consistent_drag, settings)
+    _analyse(options, comm, equivalent_drag if options.uniform else self_consistent_drag, settings)
 
 
 def viscosity(options: argparse.Namespace, comm: Any) -> None:
     """Find η0 of packing after packing."""
     from petscjam.analysis.viscosity import viscosity
 
-    _survey(options, comm, viscosity, {"strain": options.strain}, chosen_laws(options))
+    _analyse(options, comm, viscosity, {"strain": options.strain}, chosen_laws(options))
 
 
 def figure(options: argparse.Namespace, comm: Any) -> None:
@@ -96,36 +96,15 @@ def figure(options: argparse.Namespace, comm: Any) -> None:
     say(comm, f"{folder / options.name}.png")
 
 
-def _survey(
+def _analyse(
     options: argparse.Namespace,
     comm: Any,
-    analyse: Callable[..., Any],
+    function: Callable[..., Any],
     settings: Mapping[str, Any],
     laws: Sequence[DampingLaw | None] = (None,),
 ) -> None:
-    from petscjam.base.progress import progress
-    from petscjam.io.jobs import survey
-    from petscjam.io.results import read_results
-    from petscjam.parallel.claims import claimed
+    from petscjam.io.jobs import PackingAnalysis
     from petscjam.parallel.petsc import start
-    from petscjam.plots.tables import table
 
     start(comm)
-    with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
-        made, failures = survey(
-            on_root(comm, all_packings, options),
-            options.output,
-            analyse,
-            settings,
-            laws=laws,
-            prestress=options.prestress,
-            comm=comm,
-            team_size=options.team_size,
-            resume=options.resume,
-            overwrite=options.overwrite,
-            progress=report,
-            log=lambda line: print(line, flush=True),
-        )
-    if made or options.resume:
-        say(comm, on_root(comm, lambda: table(read_results(options.output))))
-    finish(failures, "results")
+    finish(analysed(options, comm, PackingAnalysis(function, settings), laws), "results")

@@ -234,6 +234,8 @@ def build_parser() -> Parser:
         "frequency (default 1e-6)",
     )
     p.add_argument("--direct", action="store_true", help="one factorisation a frequency instead of the reduced model")
+    text = "one reduced model in (omega, beta) for all beta: its errors are estimates, not bounds"
+    p.add_argument("--beta-family", action="store_true", help=text)
     team_size(p)
     p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
     p.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import resource
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -388,51 +389,64 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     """Find G* of packing after packing, dealt to teams of ranks; each result is written as it comes."""
     import numpy as np
 
-    from petscjam.base.progress import progress
-    from petscjam.io.jobs import sweep
-    from petscjam.io.results import read_moduli
-    from petscjam.parallel.claims import claimed
+    from petscjam.io.jobs import ModulusAnalysis
     from petscjam.parallel.petsc import start
-    from petscjam.plots.tables import table
     from petscjam.response.reduced import checked_rtol
 
     start(comm)
     laws, omega = chosen_laws(options), options.omega
-    reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0]
+    reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0, options.beta_family]
     if options.direct and any(reduced):
-        raise InputError("moduli: --rtol, --out-of-core and --block-low-rank go with the reduced model, not --direct")
+        names = "--rtol, --out-of-core, --block-low-rank and --beta-family"
+        raise InputError(f"moduli: {names} go with the reduced model, not --direct")
     rtol = 1e-6 if options.rtol is None else options.rtol
     checked_rtol(rtol, 1e-12)
     for w in options.fields:
         if not omega.min() <= w <= omega.max():
             raise InputError(f"--fields {w:g} lies outside the sweep")
     nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
-
-    with progress("moduli", show=comm.rank == 0) as report, claimed(options.output, comm):
-        made, failures = sweep(
-            on_root(comm, all_packings, options),
-            omega,
-            options.output,
-            laws=laws,
-            prestress=options.prestress,
-            strain=options.strain,
-            rtol=rtol,
-            direct=options.direct,
-            fields_at=omega[np.unique(np.array(nearest, dtype=int))],
-            comm=comm,
-            team_size=options.team_size,
-            resume=options.resume,
-            overwrite=options.overwrite,
-            out_of_core=options.out_of_core,
-            block_low_rank=options.block_low_rank,
-            progress=report,
-            log=lambda line: print(line, flush=True),
-        )
-    if made or options.resume:
-        say(comm, on_root(comm, lambda: table(read_moduli(options.output))))
+    analysis = ModulusAnalysis(
+        omega,
+        strain=options.strain,
+        rtol=rtol,
+        direct=options.direct,
+        fields_at=omega[np.unique(np.array(nearest, dtype=int))],
+        family=options.beta_family,
+        out_of_core=options.out_of_core,
+        block_low_rank=options.block_low_rank,
+    )
+    if way := analysis.way(laws):
+        say(comm, way)
+    failures = analysed(options, comm, analysis, laws)
     peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
     finish(failures, "moduli")
+
+
+def analysed(options: argparse.Namespace, comm: Any, analysis: Any, laws: Sequence[Any] = (None,)) -> list[str]:
+    """Analyse the packings that are given and print the results; return why some could not be made."""
+    from petscjam.base.progress import progress
+    from petscjam.io.jobs import Ensemble, analyse
+    from petscjam.io.results import read_results
+    from petscjam.parallel.claims import claimed
+    from petscjam.plots.tables import table
+
+    with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
+        ensemble = Ensemble(
+            on_root(comm, all_packings, options),
+            options.output,
+            laws,
+            options.prestress,
+            team_size=options.team_size,
+            resume=options.resume,
+            overwrite=options.overwrite,
+        )
+        made, failures = analyse(
+            ensemble, analysis, comm=comm, progress=report, log=lambda line: print(line, flush=True)
+        )
+    if made or options.resume:
+        say(comm, on_root(comm, lambda: table(read_results(options.output))))
+    return failures
 
 
 def plot(options: argparse.Namespace, comm: Any) -> None:

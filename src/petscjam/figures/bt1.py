@@ -10,6 +10,7 @@ import numpy as np
 
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Finding, Study
+from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import STORAGE, save
 from petscjam.plots.modulus import draw_fields
@@ -20,7 +21,8 @@ from petscjam.rows.damping import ContactDamping
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    results = study.moduli(files, study.points("omega"), [ContactDamping()], fields_at=study.points("fields"))
+    analysis = ModulusAnalysis(study.points("omega"), fields_at=study.points("fields"))
+    results = study.results(files, analysis, [ContactDamping()])
     on_root(study.comm, _draw, study, study.tally(results, "G*"), picture)
 
 

@@ -15,6 +15,7 @@ from petscjam.analysis.scaling import Curve, collapse, critical, local_slope
 from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Finding, Study
+from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
@@ -26,7 +27,7 @@ AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    results = study.moduli(files, study.points("omega"), [ContactDamping()], prestress=(True, False))
+    results = study.results(files, ModulusAnalysis(study.points("omega")), [ContactDamping()], (True, False))
     on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), ContactDamping(), picture)
 
 

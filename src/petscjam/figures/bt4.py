@@ -12,6 +12,7 @@ from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study
+from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
@@ -24,12 +25,12 @@ def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     omega, betas = study.points("omega"), [ContactDamping(float(beta)) for beta in study.points("betas")]
     files = study.packings(study["particles"], study.points("pressure"))
-    both = {"prestress": (True, False)}
-    undamped = study.moduli(files, omega, [UNDAMPED], tag="undamped", **both)
-    centres = study.moduli(files, omega, [CENTRES], tag="centres", prestress=(False,))
-    eta0 = study.survey(files, viscosity, {}, tag="viscosity", laws=[UNDAMPED, ContactDamping()], **both)
+    both, G = (True, False), ModulusAnalysis(omega)
+    undamped = study.results(files, G, [UNDAMPED], both, tag="undamped")
+    centres = study.results(files, G, [CENTRES], (False,), tag="centres")
+    eta0 = study.results(files, PackingAnalysis(viscosity), [UNDAMPED, ContactDamping()], both, tag="viscosity")
     one = study.packings(study["particles"], [study["beta_pressure"]])
-    weak = study.moduli(one, omega, betas, tag="betas")
+    weak = study.results(one, ModulusAnalysis(omega, family=True), betas, tag="betas")
     on_root(
         study.comm,
         _draw,

@@ -11,6 +11,7 @@ import numpy as np
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.figures.study import Study
+from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
@@ -23,7 +24,7 @@ PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    results = study.survey(files, quasistatic_response, {}, prestress=(True, False))
+    results = study.results(files, PackingAnalysis(quasistatic_response), prestress=(True, False))
     on_root(study.comm, _draw, study, study.tally(results, "quasi-static responses"), picture)
 
 

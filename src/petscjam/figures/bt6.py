@@ -9,6 +9,7 @@ from typing import Any
 from petscjam.figures.bt3 import draw_collapse
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.study import Study
+from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
 from petscjam.rows.damping import StokesDrag
@@ -19,11 +20,12 @@ FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
     files = study.packings(study["particles"], study.points("pressure"))
-    results = study.moduli(files, study.points("omega"), [StokesDrag()], prestress=(True, False))
+    analysis = ModulusAnalysis(study.points("omega"))
+    results = study.results(files, analysis, [StokesDrag()], (True, False))
     on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture, FLUID)
     one = study.packings(study["particles"], [study["fluid_pressure"]])
     fluids = [StokesDrag(float(eta)) for eta in study.points("fluids")]
-    varied = study.moduli(one, study.points("omega"), fluids, tag="fluids")
+    varied = study.results(one, analysis, fluids, tag="fluids")
     other = picture.with_stem(f"{picture.stem}-fluid")
     on_root(study.comm, _draw_fluids, study.tally(varied, "varying ηF"), other)
 

@@ -17,6 +17,7 @@ from petscjam.analysis.scaling import log_corrected
 from petscjam.analysis.statistics import by_pressure
 from petscjam.base.types import Array
 from petscjam.figures.study import Finding, Study
+from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
@@ -37,15 +38,16 @@ def draw(study: Study, picture: Path) -> None:
     few = {"omegas": study.points("contact_omega")}
     for n in study.points("sizes").astype(int).tolist():
         files = study.packings(n, study.points("contact_pressure"))
-        made = study.survey(files, correlations, few, tag=f"contact-N{n}", laws=[ContactDamping()])
+        made = study.results(files, PackingAnalysis(correlations, few), [ContactDamping()], tag=f"contact-N{n}")
         contact |= {f"{n} {name}": c for name, c in study.tally(made, f"contact damping, N = {n}").items()}
     lanes: dict[float, dict[str, Any]] = {}
     for width in study.points("widths").tolist():  # of the largest size
-        settings = {**few, "width": width, "bin": width / 2}
-        made = study.survey(files, correlations, settings, tag=f"lane{width:g}", laws=[ContactDamping()])
+        lane = PackingAnalysis(correlations, {**few, "width": width, "bin": width / 2})
+        made = study.results(files, lane, [ContactDamping()], tag=f"lane{width:g}")
         lanes[width] = study.tally(made, f"lanes {width:g} d high")
     files = study.packings(study["particles"], study.points("pressure"))
-    stokes = study.survey(files, correlations, {"omegas": study.points("omega")}, tag="stokes", laws=[StokesDrag()])
+    many = PackingAnalysis(correlations, {"omegas": study.points("omega")})
+    stokes = study.results(files, many, [StokesDrag()], tag="stokes")
     on_root(study.comm, _draw, study, contact, lanes, study.tally(stokes, "Stokes drag"), picture)
 
 

@@ -13,6 +13,7 @@ from petscjam.analysis.scaling import Curve, collapse, finite_size
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
 from petscjam.figures.study import Study
+from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
@@ -30,7 +31,7 @@ def draw(study: Study, picture: Path) -> None:
     pressures, fewer = study.points("pressure"), study.points("large_pressure")
     for n in study.points("particles").astype(int).tolist():
         files = study.packings(n, fewer if n >= study["large"] else pressures)
-        made = study.survey(files, viscosity, {}, tag=f"N{n}", laws=list(LAWS), prestress=(True, False))
+        made = study.results(files, PackingAnalysis(viscosity), list(LAWS), (True, False), tag=f"N{n}")
         results |= {f"{n} {name}": v for name, v in study.tally(made, f"η0, N = {n}").items()}
     on_root(study.comm, _draw, study, results, picture)
 

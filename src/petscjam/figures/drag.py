@@ -16,6 +16,7 @@ from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
 from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.panels import guide
 from petscjam.figures.study import Finding, Study
+from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
@@ -27,12 +28,13 @@ AFFINE = 0.05  # ωτα above which the response is no longer critical
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    without = {"prestress": (False,)}
-    linear = study.moduli(files, study.points("linear_omega"), [ContactDamping()], tag="linear", **without)
+    analysis: Any = ModulusAnalysis(study.points("linear_omega"))
+    linear = study.results(files, analysis, [ContactDamping()], (False,), tag="linear")
     contacts = {}
     for alpha in study.points("alphas").tolist():
         settings = {"omegas": study.points("omega"), "stress": study["stress"], "alpha": alpha}
-        contacts[alpha] = study.survey(files, self_consistent_drag, settings, tag=f"alpha{alpha:.3f}", **without)
+        analysis = PackingAnalysis(self_consistent_drag, settings)
+        contacts[alpha] = study.results(files, analysis, prestress=(False,), tag=f"alpha{alpha:.3f}")
     on_root(study.comm, _draw, study, linear, contacts, picture)
 
 

@@ -17,6 +17,7 @@ from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.base.types import Array, Integers
 from petscjam.figures.study import Finding, Study
+from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
@@ -28,9 +29,10 @@ WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    without = {"prestress": (False,)}
-    modes = study.survey(files, rebuilt_response, {"count": study["count"]}, tag="rebuilt", **without)
-    density = study.survey(files, density_of_states, {"moments": study["moments"]}, tag="density", **without)
+    low = PackingAnalysis(rebuilt_response, {"count": study["count"]})
+    modes = study.results(files, low, prestress=(False,), tag="rebuilt")
+    every = PackingAnalysis(density_of_states, {"moments": study["moments"]})
+    density = study.results(files, every, prestress=(False,), tag="density")
     on_root(study.comm, _draw, study, modes, density, picture)
 
 

@@ -16,7 +16,7 @@ from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.files import write_atomically
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
-from petscjam.io.jobs import survey, sweep
+from petscjam.io.jobs import Analysis, Ensemble, analyse
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given
@@ -140,38 +140,37 @@ class Study:
         )
         return list(proved)
 
-    def moduli(
-        self, files: Sequence[Path], omegas: Array, laws: Sequence[DampingLaw], *, tag: str = "", **options: Any
-    ) -> dict[str, Any]:
-        """Return G* of every packing under each law, made if need be (``sweep``); on rank 0 alone."""
-        return self._made(
-            files, tag, lambda output, **common: sweep(files, omegas, output, laws=laws, **common, **options)
-        )
-
-    def survey(
+    def results(
         self,
         files: Sequence[Path],
-        analyse: Callable[..., Any],
-        settings: Mapping[str, Any],
+        analysis: Analysis,
+        laws: Sequence[DampingLaw | None] = (None,),
+        prestress: Sequence[bool] = (True,),
         *,
         tag: str = "",
-        **options: Any,
     ) -> dict[str, Any]:
-        """Return what ``analyse`` says of every packing, made if need be (``survey``); on rank 0 alone."""
-        return self._made(
-            files, tag, lambda output, **common: survey(files, output, analyse, settings, **common, **options)
-        )
+        """Return the results of an analysis of packings by name, made if need be; on rank 0 alone.
 
-    def _made(self, files: Sequence[Path], tag: str, make: Callable[..., tuple[int, list[str]]]) -> dict[str, Any]:
+        Parameters
+        ----------
+        files : sequence of Path
+            As :meth:`packings` gives them.
+        analysis : Analysis
+        laws, prestress : sequences
+            As for :class:`petscjam.io.jobs.Ensemble`.
+        tag : str
+            The results are kept in ``NAME-TAG.h5``.
+
+        Raises
+        ------
+        InputError
+            If the file holds results that were made with other settings.
+        SolverError
+            If there is no result.
+        """
         output = self.folder / f"{self.name}{tag and '-'}{tag}.h5"
-        _, failures = make(
-            output,
-            comm=self.comm,
-            resume=not self.overwrite,
-            overwrite=self.overwrite,
-            progress=self.progress,
-            log=self.log,
-        )
+        ensemble = Ensemble(files, output, laws, prestress, resume=not self.overwrite, overwrite=self.overwrite)
+        _, failures = analyse(ensemble, analysis, comm=self.comm, progress=self.progress, log=self.log)
         if failures and not on_root(self.comm, output.exists):
             raise SolverError("; ".join(failures))
         if failures:

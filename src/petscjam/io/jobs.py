@@ -1,14 +1,12 @@
-"""Results of many packings under one or several laws, dealt to teams of ranks, and averages of moduli.
-
-Axes: w frequency.
-"""
+"""Analyses of many packings: packings × laws × pre-stress, dealt to teams of ranks and stored as they come."""
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,18 +15,17 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.base.errors import InputError, SolverError, readable
+from petscjam.base.errors import InputError, readable
 from petscjam.base.files import check_output, naming
-from petscjam.base.interrupt import Interrupted, check, deferred
-from petscjam.base.progress import Report, part
-from petscjam.base.types import Array
+from petscjam.base.interrupt import deferred
+from petscjam.base.progress import Report
 from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.parallel.claims import claimed, turn
-from petscjam.parallel.comm import agree, on_root, raise_together
+from petscjam.parallel.comm import agree, on_root
 from petscjam.parallel.memory import available_memory, factor_memory
-from petscjam.parallel.teams import Team, teams
+from petscjam.parallel.teams import Team, deal
 from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.reduced import spectrum
@@ -36,13 +33,51 @@ from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.rows.kinematics import strain_mode
 
-FAMILY = 4  # values of β from which one model in (ω, β) is made: its errors are estimates
 LARGE = 20_000  # disks from which the memory of a factor is announced
+Made = set[tuple[str, str, bool]]  # checksum, law and pre-stress of each result that a file holds
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Packings, laws and pre-stress whose results go to one file, and how they get there.
+
+    Attributes
+    ----------
+    files : sequence of Path
+        Of packings.
+    output : path
+        Of the results.
+    laws : sequence of DampingLaw or None
+        None for an analysis that takes no law.
+    prestress : sequence of bool
+    team_size : int, optional
+        Ranks that work on one packing together. Left out: one, or more where there are fewer jobs than ranks
+        or the factors would not fit into memory.
+    resume : bool
+        Keep the results that ``output`` holds, and make those that are missing.
+    overwrite : bool
+        Replace ``output``.
+    """
+
+    files: Sequence[Path]
+    output: str | PathLike[str]
+    laws: Sequence[DampingLaw | None] = (None,)
+    prestress: Sequence[bool] = (True,)
+    team_size: int | None = None
+    resume: bool = False
+    overwrite: bool = False
+
+    def check(self) -> None:
+        """Refuse files that are missing, and an output that exists or cannot be written."""
+        for file in self.files:
+            if not file.exists():
+                raise InputError(f"{file}: no such file")
+        check_output(self.output, overwrite=self.overwrite or self.resume, inputs=self.files)
 
 
 @dataclass(frozen=True)
 class Job:
-    """What one piece of work gives: of a packing (a file), with or without pre-stress, under some laws.
+    """A packing, with or without pre-stress, under the laws that are solved for together.
 
     Attributes
     ----------
@@ -50,8 +85,7 @@ class Job:
     checksum : str
     particles : int
     groups : dict
-        The name of the result for each law. Several laws differ in β alone, or in ηF alone; None stands for
-        any law where none matters.
+        The name of the result for each law.
     prestress : bool
     """
 
@@ -66,358 +100,304 @@ class Job:
         """Name of the packing."""
         return readable(self.file.stem)
 
-    def missing(self, there: set[tuple[str, str, bool]]) -> set[str]:
+    def missing(self, there: Made) -> set[str]:
         """Return the names of results that are not ``there``. The model is that of all laws all the same."""
         return {name for law, name in self.groups.items() if (self.checksum, str(law), self.prestress) not in there}
 
 
-def sweep(
-    files: Sequence[Path],
-    omegas: Array,
-    output: str | PathLike[str],
-    *,
-    laws: Sequence[DampingLaw],
-    prestress: Sequence[bool] = (True,),
-    strain: str = "simple-shear",
-    rtol: float = 1e-6,
-    direct: bool = False,
-    fields_at: ArrayLike = (),
-    comm: Any,
-    team_size: int | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    out_of_core: bool = False,
-    block_low_rank: float = 0.0,
-    progress: Report | None = None,
-    log: Callable[[str], None] = print,
-) -> tuple[int, list[str]]:
-    """Add G* of each of ``files`` under each law to ``output``, one group a result.
+class Analysis(ABC):
+    """What is done to each packing of an ensemble."""
 
-    Returns how many were made, and why others failed.
+    named_alike = True  # the names of results tell law and pre-stress even where there is one alone
+    out_of_core = False
 
-    Jobs are dealt to teams of ``team_size`` ranks; left out, one rank a team, more where there are fewer jobs
-    than ranks or the factors would not fit into memory. The file is whole at every moment and holds what is
-    finished. ``log`` gets a line for each result, on the first rank of its team.
+    @property
+    def made_with(self) -> str:
+        """What is stored with each result, to be compared on resuming."""
+        return ""
 
-    Raises
-    ------
-    InputError
-        On files that are missing or no packings, an output that exists or was made with other settings.
+    @property
+    @abstractmethod
+    def settings(self) -> str:
+        """All settings as text; the ranks must agree on it."""
+
+    def together(self, law: DampingLaw | None) -> Any:
+        """Return what the laws that are solved for together have in common."""
+        return law
+
+    @abstractmethod
+    def there(self, ensemble: Ensemble) -> Made:
+        """Return what the output holds, or refuse it if it was made otherwise."""
+
+    @abstractmethod
+    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
+        """Yield each law and its result; ``common`` are prestress, comm, name and progress."""
+
+    def line(self, name: str, result: Any, seconds: float, before: Any) -> str:
+        """Return a line of the log; ``before`` is the result before this one, if there is one."""
+        return f"{name}: {seconds:.1f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class PackingAnalysis(Analysis):
+    """``function(packing, **options, prestress=…, comm=…, name=…, progress=…)``, and ``damping=…`` if there are laws.
+
+    Attributes
+    ----------
+    function : callable
+        Returns one of the kinds of results of :mod:`petscjam.io.results`.
+    options : dict
     """
-    agree(
-        comm,
-        files,
-        omegas,
-        output,
-        laws,
-        prestress,
-        strain,
-        rtol,
-        direct,
-        fields_at,
-        team_size,
-        resume,
-        overwrite,
-        out_of_core,
-        block_low_rank,
-    )
-    fields_at = np.asarray(fields_at, dtype=float)
 
-    def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
-        _check_files(files, output, overwrite=overwrite or resume)
-        jobs = list(_jobs(files, laws, prestress, together=not direct))
-        there: set[tuple[str, str, bool]] = set()
-        if resume and Path(output).exists():
-            wanted = [{"strain": strain, "damping": str(law), "prestress": p} for law in laws for p in prestress]
-            there = done(output, wanted, omegas, fields_at, None if direct else rtol)
-        return jobs, there
+    function: Callable[..., Any]
+    options: Mapping[str, Any] = field(default_factory=dict)
 
-    def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, ComplexModulus]]:
-        return _solve(
-            job,
-            team,
-            omegas,
-            strain,
-            rtol,
-            direct,
-            fields_at,
-            report,
-            out_of_core=out_of_core,
-            block_low_rank=block_low_rank,
-        )
+    @property
+    def made_with(self) -> str:
+        """For instance ``lowest_modes(count=50)``."""
+        options = (f"{key}={np.asarray(value).tolist()}" for key, value in self.options.items())
+        return f"{self.function.__name__}({', '.join(options)})"
 
-    with claimed(output, comm):
-        jobs, there = on_root(comm, plan)
-        return _run(
-            jobs,
-            there,
-            output,
-            solve,
-            _Line(),
-            comm=comm,
-            team_size=team_size,
-            resume=resume,
-            out_of_core=out_of_core,
-            progress=progress,
-            log=log,
-        )
+    @property
+    def settings(self) -> str:
+        """The same."""
+        return self.made_with
 
-
-def survey(
-    files: Sequence[Path],
-    output: str | PathLike[str],
-    analyse: Callable[..., Any],
-    settings: Mapping[str, Any],
-    *,
-    laws: Sequence[DampingLaw | None] = (None,),
-    prestress: Sequence[bool] = (True,),
-    comm: Any,
-    team_size: int | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Report | None = None,
-    log: Callable[[str], None] = print,
-) -> tuple[int, list[str]]:
-    """Add ``analyse(packing, **settings, prestress=…, comm=…, name=…, progress=…)`` of each file.
-
-    With ``damping=…`` besides, for each of ``laws``, unless that is None. Dealt to teams, stored, resumed and
-    told as in :func:`sweep`, whose other parameters and results are the same.
-
-    Raises
-    ------
-    InputError
-        On files that are missing or no packings, an output that exists or was made with other settings.
-    """
-    wanted = f"{analyse.__name__}({', '.join(f'{key}={_plainly(value)}' for key, value in settings.items())})"
-    agree(comm, files, output, wanted, laws, prestress, team_size, resume, overwrite)
-
-    def plan() -> tuple[list[Job], set[tuple[str, str, bool]]]:
-        _check_files(files, output, overwrite=overwrite or resume)
-        jobs = list(_jobs(files, laws, prestress, together=False, tagged=True))
-        there: set[tuple[str, str, bool]] = set()
-        if resume and Path(output).exists():
-            for item in inventory(output):
-                if item.made_with != wanted:
-                    own = item.made_with or "another verb"
-                    raise InputError(f"{output}: {item.name} was made by {own}, not {wanted}; cannot be resumed")
-                there.add((item.checksum, item.damping, item.prestress))
-        return jobs, there
-
-    def solve(job: Job, team: Team, report: Report | None) -> Iterator[tuple[str, Any]]:
-        packing: Packing = on_root(team.comm, import_packing, job.file)
-        for law, name in job.groups.items():
-            with naming(job.file):
-                yield (
-                    name,
-                    analyse(
-                        packing,
-                        **settings,
-                        **({} if law is None else {"damping": law}),
-                        prestress=job.prestress,
-                        comm=team.comm,
-                        name=job.name,
-                        progress=report,
-                    ),
+    def there(self, ensemble: Ensemble) -> Made:
+        """Return what the output holds; all of it must have been made by this function with these options."""
+        items = inventory(ensemble.output)
+        for item in items:
+            if item.made_with != self.made_with:
+                own = item.made_with or "another verb"
+                raise InputError(
+                    f"{ensemble.output}: {item.name} was made by {own}, not {self.made_with}; cannot be resumed"
                 )
+        return {(item.checksum, item.damping, item.prestress) for item in items}
 
-    with claimed(output, comm):
-        jobs, there = on_root(comm, plan)
-        return _run(
-            jobs,
-            there,
-            output,
-            solve,
-            lambda name, result, seconds: f"{name}: {seconds:.1f} s",
-            comm=comm,
-            team_size=team_size,
-            resume=resume,
-            made_with=wanted,
-            progress=progress,
-            log=log,
+    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
+        """Yield the result for each law."""
+        for law in laws:
+            damping = {} if law is None else {"damping": law}
+            yield law, self.function(packing, **self.options, **damping, **common)
+
+
+@dataclass(frozen=True, eq=False)
+class ModulusAnalysis(Analysis):
+    """G*(ω) at some frequencies, by default from a reduced model.
+
+    Attributes
+    ----------
+    omegas : (W,)
+        Angular frequencies, 1/τ1.
+    strain : str
+        Name of a strain mode.
+    rtol : float
+        Bound on |ΔG*|/|G*| that the reduced model must meet.
+    direct : bool
+        Solve at each frequency instead.
+    fields_at : (F,)
+        Frequencies, of ``omegas``, whose displacements are kept.
+    family : bool
+        One model in (ω, β) for all β of contact damping (:func:`petscjam.beta_family`). It takes fewer
+        factorisations than a model for each β; its errors are estimates, not bounds.
+    out_of_core, block_low_rank : bool, float
+        As for :func:`petscjam.spectrum`.
+    """
+
+    omegas: ArrayLike
+    strain: str = "simple-shear"
+    rtol: float = 1e-6
+    direct: bool = False
+    fields_at: ArrayLike = ()
+    family: bool = False
+    out_of_core: bool = False
+    block_low_rank: float = 0.0
+    named_alike = False
+
+    @property
+    def settings(self) -> str:
+        """All fields."""
+        return f"G*({', '.join(f'{key}={np.asarray(value).tolist()}' for key, value in vars(self).items())})"
+
+    def together(self, law: DampingLaw | None) -> Any:
+        """Return the same for laws that differ in β alone, or in ηF alone, where one model serves them all."""
+        if self.family and self._in_family(law):
+            return ContactDamping, law.rotations  # type: ignore[union-attr]
+        return StokesDrag if isinstance(law, StokesDrag) and not self.direct else law
+
+    def way(self, laws: Sequence[DampingLaw]) -> str:
+        """Return a line on how several β are solved for; empty if there are not several."""
+        count = sum(self._in_family(law) for law in laws)
+        if count < 2:
+            return ""
+        if self.family:
+            return f"{count} values of beta: one model in (omega, beta) a packing; its errors are estimates"
+        return f"{count} values of beta: solved for one by one"
+
+    def _in_family(self, law: DampingLaw | None) -> bool:
+        known = isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA
+        return known and not self.direct and bool(np.min(self.omegas) < np.max(self.omegas))
+
+    def there(self, ensemble: Ensemble) -> Made:
+        """Return what the output holds; all of it must be of these laws, frequencies and accuracy."""
+        pairs = [(law, kept) for law in ensemble.laws for kept in ensemble.prestress]
+        wanted = [{"strain": self.strain, "damping": str(law), "prestress": kept} for law, kept in pairs]
+        omegas, fields_at = np.asarray(self.omegas), np.asarray(self.fields_at, dtype=float)
+        return done(ensemble.output, wanted, omegas, fields_at, None if self.direct else self.rtol)
+
+    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, ComplexModulus]]:
+        """Yield G* under each law."""
+        common["strain"], first = self.strain, laws[0]
+        if self.direct:
+            yield first, complex_modulus(packing, self.omegas, damping=first, fields_at=self.fields_at, **common)
+            return
+        span = float(np.min(self.omegas)), float(np.max(self.omegas))
+        common |= {"rtol": self.rtol, "displacements": np.size(self.fields_at) > 0}
+        common |= {"out_of_core": self.out_of_core, "block_low_rank": self.block_low_rank}
+        if len(laws) == 1:
+            models = iter([spectrum(packing, span, damping=first, **common)])
+        elif isinstance(first, ContactDamping):
+            betas = [law.tangential for law in laws]
+            member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
+            models = map(member, betas)
+        elif strain_mode(self.strain).shears_fluid:
+            # the fluid adds to |G*|: the least of it asks most of the model
+            model = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), **common)
+            models = (model.with_fluid(law.fluid) for law in laws)
+        else:
+            models = (spectrum(packing, span, damping=law, **common) for law in laws)
+        for law, model in zip(laws, models, strict=True):
+            yield law, ComplexModulus.sampled(model, self.omegas, self.fields_at)
+
+    def line(self, name: str, g: ComplexModulus, seconds: float, before: ComplexModulus | None) -> str:
+        """Return a line of the log: what the result took, and its error."""
+        made, certificate = g.performance, f"residual {g.residuals.max():.1e}"
+        same = g.model and before and before.model and g.model.nodes is before.model.nodes
+        if g.model:
+            certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
+        flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
+        return (
+            f"{name}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
+            f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
         )
-
-
-def _plainly(value: Any) -> str:
-    return str(np.asarray(value).tolist())
-
-
-def _check_files(files: Sequence[Path], output: str | PathLike[str], *, overwrite: bool) -> None:
-    for file in files:
-        if not file.exists():
-            raise InputError(f"{file}: no such file")
-    check_output(output, overwrite=overwrite, inputs=files)
 
 
 @deferred()
-def _run(
-    jobs: Sequence[Job],
-    there: set[tuple[str, str, bool]],
-    output: str | PathLike[str],
-    solve: Callable[[Job, Team, Report | None], Iterator[tuple[str, Any]]],
-    line: Callable[[str, Any, float], str],
+def analyse(
+    ensemble: Ensemble,
+    analysis: Analysis,
     *,
     comm: Any,
-    team_size: int | None,
-    resume: bool,
-    made_with: str = "",
-    out_of_core: bool = False,
-    progress: Report | None,
-    log: Callable[[str], None],
+    progress: Report | None = None,
+    log: Callable[[str], None] = print,
 ) -> tuple[int, list[str]]:
-    """Deal what is missing to teams, and store each result as it comes."""
-    jobs = [job for job in jobs if job.missing(there)]
-    run = comm.bcast(uuid4().hex)
-    made, failures, bad = 0, [], 0
-    stopped: Interrupted | None = None
-    if jobs:
-        size = team_size or _team_size(max(job.particles for job in jobs), len(jobs), comm, out_of_core)
-        with teams(comm, min(size, comm.size)) as team:
-            mine = team.deal(jobs, lambda job: job.particles)
-            for k, job in enumerate(mine):
-                report = part(progress, k, len(mine), f"{job.name}: ") if progress else None
-                if job.particles >= LARGE and team.comm.rank == 0:
-                    log(
-                        f"{job.name}: {job.particles} disks, a factor of about "
-                        f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks"
-                    )
-                start = time.perf_counter()
-                try:
-                    check(team.comm)
-                    for name, result in solve(job, team, report):
-                        if name not in job.missing(there):
-                            continue
-                        on_root(team.comm, _store, result, output, name, run, resume, team.count > 1, made_with)
-                        made += team.comm.rank == 0
-                        if team.comm.rank == 0:
-                            log(line(name, result, time.perf_counter() - start))
-                        start = time.perf_counter()
-                except (InputError, SolverError) as error:  # the same on all ranks of the team
-                    if len(jobs) == 1 and not there:
-                        raise
-                    failures += [str(error)] * (team.comm.rank == 0)
-                    bad += isinstance(error, InputError) and team.comm.rank == 0
-                except Interrupted as signal:
-                    stopped = signal
-                    break
-    everyone = comm.allgather((made, failures))
-    raise_together(comm, stopped)
-    if jobs and not there and comm.allreduce(bad) == len(jobs):  # what was asked for makes no sense
-        raise InputError(next(text for _, some in everyone for text in some))
-    return sum(count for count, _ in everyone), [text for _, some in everyone for text in some]
+    """Add the results of an analysis of every packing, under each law, to the output: one group a result. Collective.
 
+    The file is whole at every moment and holds what is finished.
 
-def _jobs(
-    files: Sequence[Path],
-    laws: Sequence[DampingLaw | None],
-    prestress: Sequence[bool],
-    *,
-    together: bool,
-    tagged: bool = False,
-) -> Iterator[Job]:
-    """Name every result: by packing and checksum, if several or ``tagged`` by law and pre-stress, too.
+    Parameters
+    ----------
+    ensemble : Ensemble
+    analysis : Analysis
+    comm : communicator
+        Its ranks are split into teams; each team works on one packing after the other.
+    progress : callable, optional
+        Called with the fraction done of a team's own work and a text.
+    log : callable
+        Gets a line for each result, on the first rank of its team.
 
-    ``together`` gives the laws that one model can serve to one job.
+    Returns
+    -------
+    made : int
+        How many results were added.
+    failures : list of str
+        Why others could not be.
+
+    Raises
+    ------
+    InputError
+        On files that are missing or no packings, an output that exists or was made with other settings.
+    InputError, SolverError
+        If there is one job, or there are several and all are refused.
     """
-    sets: dict[Any, list[DampingLaw | None]] = {}
-    for law in dict.fromkeys(laws):
-        alike: Any = law
-        if together and isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA:
-            alike = ContactDamping, law.rotations
-        elif together and isinstance(law, StokesDrag):
-            alike = StokesDrag
-        sets.setdefault(alike, []).append(law)
+    agree(comm, ensemble, analysis.settings)
+    made = 0
+
+    def plan() -> tuple[list[Job], Made]:
+        ensemble.check()
+        jobs = list(_jobs(ensemble, analysis))
+        there = analysis.there(ensemble) if ensemble.resume and Path(ensemble.output).exists() else set()
+        return [job for job in jobs if job.missing(there)], there
+
+    def work(job: Job, team: Team, report: Report | None) -> None:
+        nonlocal made
+        if job.particles >= LARGE and team.comm.rank == 0:
+            memory = f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks"
+            log(f"{job.name}: {job.particles} disks, a factor of about {memory}")
+        start, before = time.perf_counter(), None
+        for law, result in _results(job, analysis, team, report):
+            name = job.groups[law]
+            if name not in job.missing(there):
+                continue
+            on_root(team.comm, store, result, name, team.count > 1)
+            if team.comm.rank == 0:
+                made += 1
+                log(analysis.line(name, result, time.perf_counter() - start, before))
+            start, before = time.perf_counter(), result
+
+    def store(result: Any, name: str, shared: bool) -> None:
+        """Add a result; the first one of a run that does not keep what is there replaces the file."""
+        output = ensemble.output
+        with turn(output) if shared else nullcontext():
+            fresh = not ensemble.resume and run_of(output) != run
+            append_result(result, output, name, run=run, fresh=fresh, made_with=analysis.made_with)
+
+    with claimed(ensemble.output, comm):
+        jobs, there = on_root(comm, plan)
+        run = comm.bcast(uuid4().hex)
+        size = ensemble.team_size or _team_size(jobs, comm, analysis.out_of_core)
+        lost = deal(comm, jobs, work, cost=lambda job: job.particles, size=min(size, comm.size), progress=progress)
+    refused = sum(isinstance(error, InputError) for _, error in lost)
+    if lost and not there and (len(jobs) == 1 or refused == len(jobs)):  # what was asked for makes no sense
+        raise lost[0][1]
+    return comm.allreduce(made), [str(error) for _, error in lost]
+
+
+def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
+    """Name every result: by packing and checksum and, where there are several, by law and pre-stress."""
+    laws = list(dict.fromkeys(ensemble.laws))
+    together: dict[Any, list[DampingLaw | None]] = {}
+    for law in laws:
+        together.setdefault(analysis.together(law), []).append(law)
+    by_law = len(ensemble.laws) > 1 or (analysis.named_alike and laws[0] is not None)
+    by_prestress = len(ensemble.prestress) > 1 or analysis.named_alike
     seen = set()
-    for file in files:
+    for file in ensemble.files:
         packing = import_packing(file)
         name = group_name(packing, readable(file.stem))
         if name in seen:
             continue
         seen.add(name)
-        for kept in prestress:
-            several = tagged or len(prestress) > 1
-            tag = (" with pre-stress" if kept else " without pre-stress") if several else ""
-            for alike in sets.values():
-                named = (tagged and laws[0] is not None) or len(laws) > 1
-                groups = {law: name + f" {law}" * named + tag for law in alike}
+        for kept in ensemble.prestress:
+            tag = f" with{'' if kept else 'out'} pre-stress" * by_prestress
+            for some in together.values():
+                groups = {law: name + f" {law}" * by_law + tag for law in some}
                 yield Job(file, packing.checksum, len(packing), groups, kept)
 
 
-def _team_size(particles: int, jobs: int, comm: Any, out_of_core: bool) -> int:
+def _results(job: Job, analysis: Analysis, team: Team, report: Report | None) -> Iterator[tuple[Any, Any]]:
+    """Yield each law and its result; an error names the file of the packing."""
+    packing: Packing = on_root(team.comm, import_packing, job.file)
+    common = {"prestress": job.prestress, "comm": team.comm, "name": job.name, "progress": report}
+    with naming(job.file):
+        yield from analysis.results(packing, list(job.groups), **common)
+
+
+def _team_size(jobs: Sequence[Job], comm: Any, out_of_core: bool) -> int:
     """Return ranks for each job: no rank without work, and factors that fit into the memory of a node."""
-    size = max(1, comm.size // jobs)
-    need, there = factor_memory(3 * particles), available_memory()
+    size = max(1, comm.size // max(1, len(jobs)))
+    need = factor_memory(3 * max((job.particles for job in jobs), default=0))
+    there = available_memory()
     while not out_of_core and size < comm.size and need * (comm.size / size) > there:
         size *= 2
     return min(comm.bcast(size), int(comm.size))
-
-
-def _solve(
-    job: Job,
-    team: Team,
-    omegas: Array,
-    strain: str,
-    rtol: float,
-    direct: bool,
-    fields_at: Array,
-    report: Report | None,
-    **solver: Any,
-) -> Iterator[tuple[str, ComplexModulus]]:
-    """Yield the results of ``job`` by name."""
-    packing: Packing = on_root(team.comm, import_packing, job.file)
-    common: dict[str, Any] = {
-        "strain": strain,
-        "prestress": job.prestress,
-        "comm": team.comm,
-        "name": job.name,
-        "progress": report,
-    }
-    first = next(iter(job.groups))
-    with naming(job.file):
-        if direct:
-            result = complex_modulus(packing, omegas, damping=first, fields_at=fields_at, **common)
-            yield job.groups[first], result
-            return
-        span = float(omegas.min()), float(omegas.max())
-        common.update(rtol=rtol, displacements=len(fields_at) > 0, **solver)
-        if isinstance(first, ContactDamping) and len(job.groups) >= FAMILY and span[0] < span[1]:
-            betas = [law.tangential for law in job.groups]
-            member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
-            for law, name in job.groups.items():
-                yield name, ComplexModulus.sampled(member(law.tangential), omegas, fields_at)
-        elif isinstance(first, StokesDrag) and strain_mode(strain).shears_fluid:
-            # the fluid adds to |G*|: the least of it asks most of the model
-            model = spectrum(packing, span, damping=min(job.groups, key=lambda law: law.fluid), **common)
-            for law, name in job.groups.items():
-                yield name, ComplexModulus.sampled(model.with_fluid(law.fluid), omegas, fields_at)
-        else:
-            for law, name in job.groups.items():
-                model = spectrum(packing, span, damping=law, **common)
-                yield name, ComplexModulus.sampled(model, omegas, fields_at)
-
-
-def _store(
-    result: Any, output: str | PathLike[str], group: str, run: str, keep: bool, shared: bool, made_with: str
-) -> None:
-    """Add a result; the first one of a run that does not keep what is there replaces the file."""
-    with turn(output) if shared else nullcontext():
-        fresh = not keep and run_of(output) != run
-        append_result(result, output, group, run=run, fresh=fresh, made_with=made_with)
-
-
-@dataclass
-class _Line:
-    """One line on each modulus; it remembers which model the latest one came from."""
-
-    nodes: Any = None
-
-    def __call__(self, group: str, g: ComplexModulus, seconds: float) -> str:
-        made, same = g.performance, g.model is not None and g.model.nodes is self.nodes
-        self.nodes = g.model and g.model.nodes
-        certificate = f"residual {g.residuals.max():.1e}"
-        if g.model is not None:
-            certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
-        flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
-        return (
-            f"{group}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
-            f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
-        )

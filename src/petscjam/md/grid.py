@@ -9,14 +9,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from petscjam.base.errors import InputError, SolverError
-from petscjam.base.interrupt import Interrupted, check, deferred
-from petscjam.base.progress import Report, part
+from petscjam.base.errors import InputError
+from petscjam.base.interrupt import deferred
+from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_RUNS
 from petscjam.md.result import Run
 from petscjam.parallel.claims import claimed, made_folder
-from petscjam.parallel.comm import agree, on_root, raise_together
-from petscjam.parallel.teams import teams
+from petscjam.parallel.comm import agree, on_root
+from petscjam.parallel.teams import Team, deal
 from petscjam.rows.damping import DampingLaw
 
 
@@ -37,6 +37,11 @@ class Point:
         law = self.model if isinstance(self.model, str) else str(self.model).replace(" ", "")
         return f"{law}-N{self.n}-phi{self.phi:g}-Q{self.Q:g}-rate{self.rate:g}-seed{self.seed}"
 
+    @property
+    def cost(self) -> float:
+        """Time that a given strain takes, in some unit."""
+        return self.n / abs(self.rate) if self.rate else 0.0
+
 
 def grid(
     models: Sequence[str | DampingLaw],
@@ -47,6 +52,17 @@ def grid(
     seeds: Sequence[int],
 ) -> list[Point]:
     """Return every combination, each once.
+
+    Parameters
+    ----------
+    models : sequence
+        Names of models of VOT, or damping laws.
+    n, phi, Q, rate, seeds : sequences
+        Numbers of disks, packing fractions, quality factors, strain rates (1/τe), seeds.
+
+    Returns
+    -------
+    list of Point
 
     Raises
     ------
@@ -76,8 +92,14 @@ def run_grid(
     Parameters
     ----------
     points : sequence of Point
+    folder : Path
     work : callable
         ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` gives the run.
+    comm : communicator
+    resume, overwrite : bool
+        What is done about files that exist; an error if neither.
+    progress : callable, optional
+        Called with the fraction done of a rank's own work and a text.
     log : callable
         Gets the file and the run of each point that is done, on the rank that did it.
 
@@ -94,39 +116,24 @@ def run_grid(
         of the points makes sense.
     """
     agree(comm, points, folder, resume, overwrite)
+    files = {point: folder / f"{point.name}.h5" for point in points}
+    made = 0
 
-    def files() -> dict[Point, Path]:
-        found = {point: folder / f"{point.name}.h5" for point in points}
-        for file in found.values():
+    def unwritten() -> None:
+        for file in files.values():
             if file.exists() and not (resume or overwrite):
                 raise InputError(f"{file}: exists already; ask to overwrite it or to resume")
-        return found
+
+    def make(point: Point, team: Team, report: Report | None) -> None:
+        nonlocal made
+        run = work(**vars(point), output=files[point], resume=resume, overwrite=overwrite, progress=report)
+        made += 1
+        log(files[point], run)
 
     with made_folder(folder, comm), claimed(folder, comm):
-        targets = on_root(comm, files)
-        made, failures, bad = 0, [], 0
-        stopped: Interrupted | None = None
-        with teams(comm, 1) as team:
-            mine = team.deal(points, lambda point: point.n / abs(point.rate) if point.rate else 0.0)
-            for k, point in enumerate(mine):
-                report = part(progress, k, len(mine), f"{point.name}: ") if progress else None
-                try:
-                    check()
-                    run = work(
-                        **vars(point), output=targets[point], resume=resume, overwrite=overwrite, progress=report
-                    )
-                except (InputError, SolverError) as error:
-                    failures.append(f"{point.name}: {error}")
-                    bad += isinstance(error, InputError)
-                    continue
-                except Interrupted as signal:
-                    stopped = signal
-                    break
-                made += 1
-                log(targets[point], run)
-        raise_together(comm, stopped)
-        everyone = comm.allgather((made, failures, bad))
-        lost = [text for _, some, _ in everyone for text in some]
-        if sum(count for *_, count in everyone) == len(points):  # what was asked for makes no sense
-            raise InputError(lost[0])
-        return sum(count for count, *_ in everyone), lost
+        on_root(comm, unwritten)
+        lost = deal(comm, points, make, cost=lambda point: point.cost, progress=progress)
+        failures = [f"{point.name}: {error}" for point, error in lost]
+        if sum(isinstance(error, InputError) for _, error in lost) == len(points):  # what was asked for makes no sense
+            raise InputError(failures[0])
+        return comm.allreduce(made), failures

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
-from petscjam.base.errors import InputError
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.interrupt import Interrupted, check
+from petscjam.base.progress import Report, part
 from petscjam.parallel import container
+from petscjam.parallel.comm import raise_together
 
 T = TypeVar("T")
 
@@ -49,6 +52,67 @@ def teams(comm: Any, size: int = 1) -> Iterator[Team]:
     team = Team(comm.Split(comm.rank // size, comm.rank), comm.rank // size, -(-comm.size // size))
     yield team
     team.comm.Free()  # collective: an error that is this rank's alone does not wait for the others
+
+
+class Task(Protocol):
+    """A piece of work with a name."""
+
+    @property
+    def name(self) -> str:
+        """What the progress calls it."""
+
+
+Named = TypeVar("Named", bound=Task)
+
+
+def deal(
+    comm: Any,
+    tasks: Sequence[Named],
+    work: Callable[[Named, Team, Report | None], None],
+    *,
+    cost: Callable[[Named], float],
+    size: int = 1,
+    progress: Report | None = None,
+) -> list[tuple[Named, InputError | SolverError]]:
+    """Deal tasks to teams and return those that failed, with their errors, on every rank. Collective.
+
+    A task that fails does not stop the others. A signal stops all teams after the tasks they are at.
+
+    Parameters
+    ----------
+    comm : communicator
+    tasks : sequence
+        The same on every rank.
+    work : callable
+        ``work(task, team, progress)``, called on every rank of the team.
+    cost : callable
+        Time that a task takes, in any unit.
+    size : int
+        Ranks of a team.
+    progress : callable, optional
+        Called with the fraction done of a team's own work and a text.
+
+    Raises
+    ------
+    Interrupted
+        On a signal.
+    """
+    failed: list[tuple[Named, InputError | SolverError]] = []
+    stopped: Interrupted | None = None
+    with teams(comm, size) as team:
+        first = team.comm.rank == 0
+        mine = team.deal(tasks, cost)
+        for k, task in enumerate(mine):
+            try:
+                check(team.comm)
+                work(task, team, part(progress, k, len(mine), f"{task.name}: ") if progress else None)
+            except (InputError, SolverError) as error:  # the same on all ranks of the team
+                failed.append((task, error))
+            except Interrupted as signal:
+                stopped = signal
+                break
+    raise_together(comm, stopped)
+    return [one for some in comm.allgather(failed if first else []) for one in some]
 
 
 def cores_each(comm: Any) -> int:
