@@ -5,6 +5,7 @@ from .analysis.density import density_of_states as density_of_states
 from .analysis.drag import equivalent_drag as equivalent_drag
 from .analysis.nonaffine import quasistatic_response as quasistatic_response
 from .analysis.rebuilt import rebuilt_response as rebuilt_response
+from .analysis.statistics import average as average
 from .analysis.viscosity import viscosity as viscosity
 from .base.errors import InputError as InputError
 from .base.errors import SolverError as SolverError
@@ -15,7 +16,6 @@ from .geometry.packing import Certificate as Certificate
 from .geometry.packing import Packing as Packing
 from .io.exporters import export_packing as export_packing
 from .io.importers import import_packing as import_packing
-from .analysis.statistics import average as average
 from .io.results import read_moduli as read_moduli
 from .io.results import read_modulus as read_modulus
 from .io.results import read_results as read_results
