@@ -102,7 +102,7 @@ def test_resume_adds_only_what_is_missing(packing, tmp_path):
         next(iter(h5.values())).attrs["G0"] = 42.0  # a mark, to see that it is not computed again
     assert main(["moduli", str(packing), str(second), "--omega", "1,2", "-o", str(out), "--resume"]) == 0
     results = list(pj.read_moduli(out).values())
-    assert sorted(g.packing["particles"] for g in results) == [16, 64]
+    assert sorted(g.origin.particles for g in results) == [16, 64]
     assert 42.0 in [g.G0 for g in results]
 
 

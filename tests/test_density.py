@@ -13,6 +13,7 @@ from petscjam.analysis import density
 from petscjam.analysis.density import DensityOfStates, density_of_states, highest, plateau
 from petscjam.plots.density import plot_density
 from petscjam.reference import linear as reference
+from petscjam.response.origin import Origin
 
 SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 any_prestress = pytest.mark.parametrize("prestress", [True, False])
@@ -82,8 +83,7 @@ def made_of(modes, edge, moments):
         edge=edge,
         modes=len(modes),
         negative_modes=0,
-        prestress=True,
-        packing={"pressure": 1e-3},
+        origin=Origin("made", "0" * 16, len(modes), 0.9, 1e-3, 4.0, 0, "harmonic", True),
     )
 
 
@@ -123,7 +123,7 @@ def test_modes_are_counted_without_rattlers_and_translations(which):
 
 
 def test_a_packing_of_this_file_has_rattlers():
-    assert states("rattlers").packing["rattlers"] > 0
+    assert states("rattlers").origin.rattlers > 0
 
 
 # ---- sums over modes

@@ -346,7 +346,7 @@ def test_a_packing_that_took_the_place_of_another_is_not_mixed_with_it(packings,
     files = [packings / "packings" / "N64_p0.01_s0002.h5"]
     study.checksums[files[0]] = other.checksum
     found = study.results(files, PackingAnalysis(pj.quasistatic_response), prestress=(True, False))
-    assert [r.packing["checksum"] for r in found.values()] == [other.checksum] * 2
+    assert [r.origin.checksum for r in found.values()] == [other.checksum] * 2
     assert len(read_results(packings / "bt5.h5")) == 6
 
 

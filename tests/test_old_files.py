@@ -12,6 +12,7 @@ import pytest
 
 import petscjam as pj
 from petscjam.cli import main
+from petscjam.rows.damping import DampingLaw
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 FORMATS = Path(__file__).parent / "fixtures" / "formats"
@@ -92,17 +93,21 @@ def described(folder):
 EXPECTED = json.loads((FORMATS / "expected.json").read_text()) if (FORMATS / "expected.json").exists() else {}
 
 
+RENAMED = {"packing": "origin"}
+
+
 def compare(value, expected, where):
     """Look up every name of ``expected`` in ``value``; there may be more."""
     if isinstance(expected, dict) and not (isinstance(value, np.ndarray) and value.ndim):
         for name, inside in expected.items():
-            there = value[name] if isinstance(value, Mapping) else getattr(value, name)
+            there = value[name] if isinstance(value, Mapping) else getattr(value, RENAMED.get(name, name))
             compare(there, inside, f"{where}.{name}")
     elif isinstance(expected, list) and any(isinstance(inside, dict) for inside in expected):
         assert len(value) == len(expected), where
         for k, inside in enumerate(expected):
             compare(value[k], inside, f"{where}[{k}]")
     else:
+        value = str(value) if isinstance(value, DampingLaw) and isinstance(expected, str) else value  # it was text once
         assert json.dumps(numbers(value)) == json.dumps(expected), where  # NaN is NaN
 
 
@@ -150,7 +155,7 @@ def test_a_spectrum_is_read_as_moduli():
     expected = EXPECTED["spectrum.h5"]["stored"]
     for g in (pj.read_modulus(FORMATS / "spectrum.h5"), *pj.read_results(FORMATS / "spectrum.h5").values()):
         assert (g.omega[0], g.omega[-1], len(g.omega)) == pytest.approx((*expected["span"], 61), rel=1e-12)
-        compare(g.packing, expected["packing"], "packing")
+        compare(g.origin, expected["packing"], "packing")
 
 
 @pytest.mark.xfail(raises=pj.InputError, reason="a run is refused unless it has every row that is written today")

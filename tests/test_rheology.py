@@ -95,8 +95,8 @@ def test_parameters_that_reptate_misses_or_uses(model, tmp_path, fmt):
     assert set(NEEDED[fmt][1]) <= set(parameters)
     assert parameters.get("gamma", 1) == 1  # G(t) is divided by it
     assert parameters["particles"] == 16
-    assert parameters["phi"] == model.packing["phi"]
-    assert parameters["pressure"] == model.packing["pressure"]
+    assert parameters["phi"] == model.origin.phi
+    assert parameters["pressure"] == model.origin.pressure
 
 
 @pytest.mark.parametrize("fmt", NEEDED)

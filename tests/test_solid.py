@@ -324,7 +324,7 @@ def test_every_result_says_that_forces_do_not_balance(verb, prestress):
     force = f"{net_force(shortened()):.2g} p·d"
     (note,) = (note for note in r.notes if "not in balance" in note)
     assert force in note
-    assert (r.packing["balanced"], f"{r.packing['net_force']:.2g} p·d") == (False, force)
+    assert (r.origin.balanced, f"{r.origin.net_force:.2g} p·d") == (False, force)
     if hasattr(r, "stable"):
         assert r.state == ("NOT IN BALANCE" if prestress else "stable")
         assert r.stable != prestress
@@ -334,7 +334,7 @@ def test_every_result_says_that_forces_do_not_balance(verb, prestress):
 @pytest.mark.parametrize("verb", EVERY)
 def test_no_result_says_so_of_a_minimum(verb, prestress):
     r = EVERY[verb](jammed(), prestress=prestress)
-    assert r.packing["balanced"] is True
+    assert r.origin.balanced is True
     assert not [note for note in r.notes if "balance" in note]
     assert getattr(r, "stable", True)
 
@@ -392,8 +392,7 @@ def test_text_for_rheologists_says_it(tmp_path, fmt):
 def test_a_file_of_older_days_is_not_called_stable():
     """It tells neither zero modes nor balance."""
     g = EVERY["sample"](jammed())
-    known = {key: value for key, value in g.packing.items() if key not in ("balanced", "net_force")}
-    old = replace(g, zero_modes=None, packing=known)
+    old = replace(g, zero_modes=None, origin=replace(g.origin, balanced=None, net_force=None))
     assert old.state == "UNKNOWN: zero modes, balance"
 
 

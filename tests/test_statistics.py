@@ -13,8 +13,8 @@ from petscjam.preparation.library import Library
 
 
 def result(pressure, *, particles=64, prestress=True, damping="CD", omega=(0.1, 1.0)):
-    packing = {"pressure": pressure, "particles": particles}
-    return SimpleNamespace(packing=packing, prestress=prestress, damping=damping, omega=np.array(omega))
+    origin = SimpleNamespace(pressure=pressure, particles=particles, damping=damping)
+    return SimpleNamespace(origin=origin, prestress=prestress, omega=np.array(omega))
 
 
 def test_means_and_standard_errors():
@@ -38,7 +38,7 @@ def test_plots_tables_and_figures_group_packings_at_the_same_pressures(pressure,
     assert len(by_pressure(some.values())) == groups
     row = {"target": None, "phi": 0.85, "Z": 4.0, "rattlers": 1, "lowest_eigenvalue": None, "seconds": None}
     row |= {"particles": 64, "proved": True, "shear_modulus": None}
-    rows = [{**row, "pressure": r.packing["pressure"]} for r in some.values()]
+    rows = [{**row, "pressure": r.origin.pressure} for r in some.values()]
     table = describe_library(Library(None, {}, rows, []))
     assert sum(line.startswith("     64 ") for line in table.splitlines()) == groups
 

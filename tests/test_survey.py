@@ -140,11 +140,11 @@ def test_every_packing_gets_the_result_of_the_library(folder, tmp_path, comm, ve
     output = comm.bcast(tmp_path / "out.h5")
     assert run(*arguments, folder, "-o", output) == 0
     results = read_results(output)
-    assert {r.packing["name"] for r in results.values()} == {"p1", "p2", "p3"}
+    assert {r.origin.name for r in results.values()} == {"p1", "p2", "p3"}
     for name, ours in list(results.items())[comm.rank :: comm.size]:
-        packing = pj.Packing.read(folder / f"{ours.packing['name']}.h5")
-        assert name.startswith(f"{ours.packing['name']}-{packing.checksum[:8]}")
-        theirs = analyse(packing, **settings, name=ours.packing["name"], comm=MPI.COMM_SELF)
+        packing = pj.Packing.read(folder / f"{ours.origin.name}.h5")
+        assert name.startswith(f"{ours.origin.name}-{packing.checksum[:8]}")
+        theirs = analyse(packing, **settings, name=ours.origin.name, comm=MPI.COMM_SELF)
         assert type(ours) is type(theirs)
         assert_same(ours, theirs, 1e-12)
     comm.barrier()
@@ -162,8 +162,8 @@ def test_an_inventory_is_what_the_results_say(made, verb):
     assert {item.name for item in inventory(made(verb))} == set(results)
     for item in inventory(made(verb)):
         r = results[item.name]
-        assert item.checksum == r.packing["checksum"]
-        assert item.damping == str(getattr(r, "damping", None))
+        assert item.checksum == r.origin.checksum
+        assert item.damping == str(r.origin.damping)
         assert item.prestress is r.prestress
 
 
@@ -253,7 +253,7 @@ def test_resume_adds_the_packings_that_are_missing(folder, tmp_path, capsys):
     log = [line for line in capsys.readouterr().out.splitlines() if line.endswith(" s")]
     assert [line[:2] for line in log] == ["p1", "p3"]
     results = read_results(output)
-    assert sorted(v.packing["name"] for v in results.values()) == ["p1", "p2", "p3"]
+    assert sorted(v.origin.name for v in results.values()) == ["p1", "p2", "p3"]
     assert all(results[name].eta0 == v.eta0 for name, v in first.items())
 
 
@@ -435,7 +435,7 @@ def test_every_rank_has_its_share(folder, tmp_path, comm):
     shares = comm.allgather(len(lines))
     assert sum(shares) == 3
     assert min(shares) >= 1
-    assert {v.packing["name"] for v in read_results(output).values()} == {"p1", "p2", "p3"}
+    assert {v.origin.name for v in read_results(output).values()} == {"p1", "p2", "p3"}
 
 
 @pytest.mark.parallel(nprocs=2)

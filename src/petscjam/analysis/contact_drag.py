@@ -142,9 +142,7 @@ def self_consistent_drag(
         form="per contact",
         **found,
         errors=np.full(len(omega), np.nan),
-        strain=strain,
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name, strain),
         notes=tuple(problem.notes),
     )
 

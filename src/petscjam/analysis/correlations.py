@@ -11,8 +11,8 @@ Axes: i disk, f field, w frequency, d distance, l lane.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import require
-from petscjam.response.origin import Judged, frequencies
+from petscjam.response.origin import Judged, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw
@@ -77,32 +77,20 @@ class Correlations(Judged):
         Largest height of a lane, and of a step in δ.
     G0 : float
         Modulus at ω → 0.
-    negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
-    damping : DampingLaw
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
     """
 
-    omega: Array
-    delta: Array
-    real: Array
-    imaginary: Array
-    pairs: Integers
-    G: NDArray[np.complex128]
-    errors: Array
-    L: float
-    width: float
-    bin: float
-    G0: float
-    negative_modes: int | None
-    zero_modes: int | None
-    damping: DampingLaw
-    prestress: bool
-    packing: dict[str, Any]
-    notes: tuple[str, ...] = ()
+    omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
+    delta: Array = field(metadata=stored("length", "D", finite=True))
+    real: Array = field(metadata=stored(axes="W D"))
+    imaginary: Array = field(metadata=stored(axes="W D"))
+    pairs: Integers = field(metadata=stored(axes="D"))
+    G: NDArray[np.complex128] = field(metadata=stored(axes="W", finite=True))
+    errors: Array = field(metadata=stored(axes="W"))
+    L: float = field(metadata=stored("length", finite=True))
+    width: float = field(metadata=stored("length", finite=True))
+    bin: float = field(metadata=stored("length", finite=True))
+    G0: float = field(metadata=stored("stress"))
+    settings: ClassVar[tuple[str, ...]] = ("damping",)
 
     @property
     def length(self) -> Array:
@@ -198,9 +186,7 @@ def correlations_of(
         G0=model.G0,
         negative_modes=model.negative_modes,
         zero_modes=model.zero_modes,
-        damping=model.damping,
-        prestress=model.prestress,
-        packing=model.packing,
+        origin=model.origin,
         notes=model.notes,
     )
 

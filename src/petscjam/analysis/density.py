@@ -8,7 +8,7 @@ Axes: w frequency, v random vector, m moment, c contact, i disk, x Cartesian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.memory import require
 from petscjam.parallel.petsc import destroying, stage
 from petscjam.response.matrices import assembled
+from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import SIMPLE_SHEAR, displacements
@@ -48,7 +49,7 @@ class Plateau(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class DensityOfStates:
+class DensityOfStates(Result):
     """D(ω) of one packing. Units: ω in √(k/m) (BT) or √(ke/m)/d (VOT), with unit masses; D in 1/ω.
 
     Attributes
@@ -71,24 +72,17 @@ class DensityOfStates:
         2n − 2 for n disks in the backbone.
     negative_modes : int or None
         0, or None where a note says why they could not be counted.
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
     """
 
-    omega: Array
-    density: Array
-    error: Array
-    cumulative: Array
-    resolution: Array
-    moments: Array
-    edge: float
+    omega: Array = field(metadata=stored("(stress/mass)^1/2", "W", finite=True))
+    density: Array = field(metadata=stored(axes="W", finite=True))
+    error: Array = field(metadata=stored(axes="W"))
+    cumulative: Array = field(metadata=stored(axes="W", finite=True))
+    resolution: Array = field(metadata=stored(axes="W", finite=True))
+    moments: Array = field(metadata=stored(axes="V M", finite=True))
+    edge: float = field(metadata=stored("(stress/mass)^1/2", finite=True))
     modes: int
     negative_modes: int | None
-    prestress: bool
-    packing: dict[str, Any]
-    notes: tuple[str, ...] = ()
 
     def at(self, omega: ArrayLike) -> DensityOfStates:
         """Return the same at other frequencies (W,), 0 ≤ ω < Ω.
@@ -180,8 +174,7 @@ def density_of_states(
         edge=edge,
         modes=modes,
         negative_modes=problem.negative_modes,
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name),
         notes=tuple(problem.notes),
     )
 

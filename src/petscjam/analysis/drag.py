@@ -11,7 +11,7 @@ Axes: w frequency, c contact of the backbone.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.potential import potential
 from petscjam.parallel.comm import agree
-from petscjam.response.origin import frequencies
+from petscjam.response.origin import Result, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import EDGE, Spectrum
 from petscjam.rows.damping import ContactDamping
@@ -33,7 +33,7 @@ LARGEST_LOG = 100 * np.log(10)  # |ln τ|: beyond, squares leave the floating-po
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModulus:
+class NonlinearModulus(Result):
     """G*(ω; δσ) of one packing under nonlinear drag. Units: stress k, time τ1.
 
     Attributes
@@ -65,32 +65,23 @@ class NonlinearModulus:
         Bound on |ΔG*|/|G*| of the reduced model; NaN per contact.
     contact_tau : (W, C)
         τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none.
-    strain : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
-        Where it did not converge.
     """
 
-    omega: Array
-    values: NDArray[np.complex128]
-    stress: float
-    alpha: float
+    omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
+    values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
+    stress: float = field(metadata=stored("stress", finite=True))
+    alpha: float = field(metadata=stored(finite=True))
     form: str
-    tau: Array
-    spread: Array
-    iterations: NDArray[np.int64]
-    converged: NDArray[np.bool_]
-    changes: Array
-    tau_changes: Array
-    residuals: Array
-    errors: Array
-    contact_tau: Array
-    strain: str
-    prestress: bool
-    packing: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    tau: Array = field(metadata=stored("tau1", "W"))
+    spread: Array = field(metadata=stored(axes="W"))
+    iterations: NDArray[np.int64] = field(metadata=stored(axes="W"))
+    converged: NDArray[np.bool_] = field(metadata=stored(axes="W"))
+    changes: Array = field(metadata=stored(axes="W"))
+    tau_changes: Array = field(metadata=stored(axes="W"))
+    residuals: Array = field(metadata=stored("1", "W"))
+    errors: Array = field(metadata=stored(axes="W"))
+    contact_tau: Array = field(metadata=stored("tau1", "W C"))
+    settings: ClassVar[tuple[str, ...]] = ("strain",)
 
     def at(self, stress: float) -> NonlinearModulus:
         """Return the same at another amplitude, exactly and without a solve, at other frequencies.
@@ -206,19 +197,17 @@ def equivalent_drag(
         residuals=model.residuals(omega * tau),
         errors=model.error(omega * tau),
         contact_tau=np.empty((count, 0)),
-        strain=model.strain,
-        prestress=model.prestress,
-        packing=model.packing,
+        origin=replace(model.origin, damping=None),
         notes=(*model.notes, *unstable(model, float(np.nanmin([*values.real, model.G0])))),
     )
 
 
 def _unit(model: Spectrum) -> float:
     """Return the stiffness k of the packing's potential (:meth:`petscjam.geometry.potential.Potential.unit`)."""
-    law = potential(model.packing["potential"])
-    if "diameter" not in model.packing and law.unit(2.0) != 1:
+    law, diameter = potential(model.origin.potential), model.origin.diameter
+    if diameter is None and law.unit(2.0) != 1:
         raise InputError(f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again")
-    return law.unit(model.packing.get("diameter", 1.0))
+    return law.unit(diameter or 1.0)
 
 
 def unstable(soft: Any, lowest: float) -> list[str]:

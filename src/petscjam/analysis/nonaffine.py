@@ -6,7 +6,7 @@ Axes: c contact of the backbone, i disk of the backbone, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.response.limits import quasistatic
-from petscjam.response.origin import Judged
+from petscjam.response.origin import Judged, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, strain_mode
@@ -45,32 +45,20 @@ class QuasistaticResponse(Judged):
         Disks of each contact.
     residual : float
         ‖Ku − f‖/‖f‖ of the solve.
-    negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
-    strain : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
     geometry : Packing
     """
 
-    shear_modulus: float
-    parallel: Array
-    transverse: Array
-    nonaffine: Array
-    stretching: float
-    pre_stress: float
-    disks: Integers
-    contacts: Integers
+    shear_modulus: float = field(metadata=stored("stress"))
+    parallel: Array = field(metadata=stored("length per unit strain", "C", finite=True))
+    transverse: Array = field(metadata=stored("length per unit strain", "C", finite=True))
+    nonaffine: Array = field(metadata=stored("length per unit strain", "n 2", finite=True))
+    stretching: float = field(metadata=stored("stress"))
+    pre_stress: float = field(metadata=stored("stress"))
+    disks: Integers = field(metadata=stored(axes="n"))
+    contacts: Integers = field(metadata=stored(axes="C 2"))
     residual: float
-    negative_modes: int | None
-    zero_modes: int | None
-    strain: str
-    prestress: bool
-    packing: dict[str, Any]
     geometry: Packing
-    notes: tuple[str, ...] = field(default=())
+    settings: ClassVar[tuple[str, ...]] = ("strain",)
 
     @property
     def G0(self) -> float:
@@ -144,9 +132,7 @@ def quasistatic_response(
         residual=residual,
         negative_modes=problem.negative_modes,
         zero_modes=problem.zero_modes,
-        strain=strain,
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name, strain),
         geometry=packing,
         notes=tuple(problem.notes),
     )

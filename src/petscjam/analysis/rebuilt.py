@@ -5,8 +5,8 @@ Axes: m mode, k number of modes, a motion (parallel, transverse, non-affine).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,12 +15,13 @@ from petscjam.base.progress import Report, part
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 from petscjam.response.modes import lowest_modes
+from petscjam.response.origin import Result, stored
 
 POINTS = 40  # numbers of modes, evenly in their logarithm
 
 
 @dataclass(frozen=True, eq=False)
-class Rebuilt:
+class Rebuilt(Result):
     """How the response per unit strain builds up from the lowest modes of K. Units as in :class:`Modes`.
 
     Attributes
@@ -38,26 +39,18 @@ class Rebuilt:
         How many modes there are, 2n − 2.
     complete : bool or None
         Whether it is proved that no mode was missed.
-    strain : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
     """
 
-    counts: Integers
-    medians: Array
-    direct: Array
-    frequencies: Array
-    floppiness: Array
-    participation: Array
-    softening: Array
+    counts: Integers = field(metadata=stored(axes="K"))
+    medians: Array = field(metadata=stored("length per unit strain", "3 K", finite=True))
+    direct: Array = field(metadata=stored("length per unit strain", "3", finite=True))
+    frequencies: Array = field(metadata=stored("(stress/mass)^1/2", "M", finite=True))
+    floppiness: Array = field(metadata=stored(axes="M"))
+    participation: Array = field(metadata=stored(axes="M", finite=True))
+    softening: Array = field(metadata=stored("stress", "M"))
     modes: int
     complete: bool | None
-    strain: str
-    prestress: bool
-    packing: dict[str, Any]
-    notes: tuple[str, ...] = ()
+    settings: ClassVar[tuple[str, ...]] = ("strain",)
 
     @property
     def ratios(self) -> Array:
@@ -103,8 +96,6 @@ def rebuilt_response(
         softening=found.softening,
         modes=2 * len(found.disks) - 2,
         complete=found.complete,
-        strain=strain,
-        prestress=prestress,
-        packing=found.packing,
+        origin=found.origin,
         notes=found.notes,
     )

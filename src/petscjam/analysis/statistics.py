@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
-from petscjam.response.origin import frequencies
+from petscjam.response.origin import Result, frequencies
 from petscjam.response.result import ComplexModulus
 
-R = TypeVar("R")
+R = TypeVar("R", bound=Result)
 
 
 def deviation(samples: ArrayLike) -> Any:
@@ -58,7 +58,7 @@ def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
     groups: dict[float, list[R]] = {}
     for r in results:
         if all(str(getattr(r, key)) == str(value) for key, value in same.items()):
-            groups.setdefault(nominal(r.packing["pressure"]), []).append(r)  # type: ignore[attr-defined]
+            groups.setdefault(nominal(r.origin.pressure), []).append(r)
     return dict(sorted(groups.items()))
 
 
@@ -76,14 +76,8 @@ def alike(results: Mapping[str, R]) -> dict[Kind, dict[str, R]]:
     """Return the results, by name, of each :class:`Kind`, in the order in which the kinds come."""
     groups: dict[Kind, dict[str, R]] = {}
     for name, r in results.items():
-        origin: Any = r
-        kind = Kind(
-            str(getattr(r, "damping", "")),
-            origin.prestress,
-            origin.packing["particles"],
-            nominal(origin.packing["pressure"]),
-            tuple(getattr(r, "omega", ())),
-        )
+        law, grid = r.origin.damping, getattr(r, "omega", ())
+        kind = Kind(str(law or ""), r.prestress, r.origin.particles, nominal(r.origin.pressure), tuple(grid))
         groups.setdefault(kind, {})[name] = r
     return groups
 
@@ -145,7 +139,7 @@ def average(
         name, other = next(iter(results.items()), ("", None))
         reason = f"; {name}: {other.state}" if other else ""
         raise InputError(f"average: none of {len(results)} packings is stable{reason}")
-    if len({(g.damping, g.strain, g.prestress, g.packing["potential"]) for g in kept.values()}) > 1:
+    if len({(g.damping, g.strain, g.prestress, g.origin.potential) for g in kept.values()}) > 1:
         raise InputError("average: the results have different laws, strains, pre-stress or potentials")
     first = next(iter(kept.values()))
     omega = first.omega if omegas is None else frequencies(omegas)
@@ -157,7 +151,7 @@ def average(
         standard_error(values),
         len(values),
         excluded=tuple(name for name in results if name not in kept),
-        unbalanced=tuple(name for name, g in kept.items() if g.packing.get("balanced") is False),
+        unbalanced=tuple(name for name, g in kept.items() if g.origin.balanced is False),
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from petscjam.base.progress import Report
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.response.limits import zero_frequency
-from petscjam.response.origin import Judged
+from petscjam.response.origin import Judged, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
@@ -25,26 +25,12 @@ class Viscosity(Judged):
         Viscosity and modulus at ω → 0.
     residual : float
         Largest residual of the solves.
-    negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
-    damping : DampingLaw
-    strain : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
     """
 
-    eta0: float
-    G0: float
+    eta0: float = field(metadata=stored("stress*tau1"))
+    G0: float = field(metadata=stored("stress"))
     residual: float
-    negative_modes: int | None
-    zero_modes: int | None
-    damping: DampingLaw
-    strain: str
-    prestress: bool
-    packing: dict[str, Any]
-    notes: tuple[str, ...] = ()
+    settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
 
 
 def viscosity(
@@ -81,9 +67,6 @@ def viscosity(
         residual=low.residual,
         negative_modes=problem.negative_modes,
         zero_modes=problem.zero_modes,
-        damping=law,
-        strain=strain,
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name, strain, law),
         notes=tuple(problem.notes),
     )

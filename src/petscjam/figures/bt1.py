@@ -34,7 +34,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     halves: Any = figure.subfigures(2, 1, height_ratios=[1, 1.35])
     above, below = halves
     axes = above.subplots()
-    pressure = some[0].packing["pressure"]
+    pressure = some[0].origin.pressure
     draw_mean(axes, some, STORAGE, f"mean of {len(some)} packings, p = {pressure:.2g}")
     guide(axes, (1e-9, 1e-7), 1e-9, 1, "slope 1")
     guide(axes, (1e-3, 1e-1), 2.5e-3, 0.5, "slope ½")

@@ -95,7 +95,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
 
     groups: dict[float, list[Any]] = {}
     for g in results.values():
-        groups.setdefault(float(g.damping.split("beta=")[1].split(",")[0]), []).append(g)
+        groups.setdefault(g.damping.beta, []).append(g)
     groups = dict(sorted(groups.items()))
     low, high = np.log(min(groups)), np.log(max(groups))
     inset = axes.inset_axes((0.1, 0.68, 0.36, 0.3))
@@ -106,7 +106,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
     axes.set_ylim(top=1e7)
     betas = np.array(list(groups))
     none, full = (_by_packing(eta0, law) for law in (UNDAMPED, ContactDamping()))
-    there = {g.packing["checksum"] for g in results.values()} & set(none) & set(full)
+    there = {g.origin.checksum for g in results.values()} & set(none) & set(full)
     low_end = [[none[key] + beta * (full[key] - none[key]) for key in there] for beta in betas]
     high_end = [[g.eta_inf for g in some] for some in groups.values()]
     for samples, marker, label in ((low_end, "o", r"$\eta_0$"), (high_end, "s", r"$\eta_\infty$")):
@@ -115,7 +115,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
         inset.errorbar(betas, *means(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
     inset.legend(frameon=False, fontsize=7)
     inset.tick_params(labelsize=7)
-    pressure = next(iter(results.values())).packing["pressure"]
+    pressure = next(iter(results.values())).origin.pressure
     axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
     axes.set_title(f"(b) p = {pressure:.2g}, with pre-stress, varying β", fontsize=10)
     axes.legend(frameon=False, fontsize=7, loc="lower right")
@@ -139,7 +139,7 @@ def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
 
 def _by_packing(results: Mapping[str, Any], law: ContactDamping) -> dict[str, float]:
     """Return η0 with pre-stress by the checksum of the packing."""
-    return {v.packing["checksum"]: v.eta0 for v in results.values() if v.damping == law and v.prestress}
+    return {v.origin.checksum: v.eta0 for v in results.values() if v.damping == law and v.prestress}
 
 
 def _crossover(study: Study, results: Mapping[str, Any]) -> None:
@@ -149,6 +149,6 @@ def _crossover(study: Study, results: Mapping[str, Any]) -> None:
         none, full = (by_pressure(results.values(), prestress=prestress, damping=law) for law in laws)
         samples = []
         for p in none:
-            with_friction = {v.packing["checksum"]: v.eta0 for v in full[p]}
-            samples.append([v.eta0 / (with_friction[v.packing["checksum"]] - v.eta0) for v in none[p]])
+            with_friction = {v.origin.checksum: v.eta0 for v in full[p]}
+            samples.append([v.eta0 / (with_friction[v.origin.checksum] - v.eta0) for v in none[p]])
         study.exponent(f"β* ~ p^x, {given(prestress)}", np.array(list(none)), samples, "1")

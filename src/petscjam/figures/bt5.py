@@ -58,7 +58,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
         panels[name].set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"{name}, per unit strain")
         panels[name].legend(frameon=False, fontsize=7)
     stable = list(results.values())
-    colours = coloured([r.packing["pressure"] for r in stable])
+    colours = coloured([r.origin.pressure for r in stable])
     for motion in MOTIONS:
         draw_distribution(panels[motion], stable, motion, colours)
     save(figure, picture)

@@ -37,13 +37,13 @@ def _draw_fluids(results: Mapping[str, Any], picture: Path) -> None:
 
     groups: dict[float, list[Any]] = {}
     for g in results.values():
-        groups.setdefault(float(g.damping.split("eta_fluid=")[1].rstrip(")")), []).append(g)
+        groups.setdefault(g.damping.fluid, []).append(g)
     figure = Figure(figsize=(8, 6), layout="constrained")
     axes = figure.subplots()
     for k, (eta, some) in enumerate(sorted(groups.items())):
         draw_mean(axes, some, colormaps["plasma"](0.85 * k / len(groups)), rf"$\eta_F$ = {eta:.0e}")
     guide(axes, (1e-4, 1e-2), 5e-4, 0.5, "slope ½")
-    pressure = next(iter(results.values())).packing["pressure"]
+    pressure = next(iter(results.values())).origin.pressure
     axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
     axes.set_title(f"Stokes drag, p = {pressure:.2g}, with pre-stress", fontsize=10)
     axes.legend(frameon=False, fontsize=8)

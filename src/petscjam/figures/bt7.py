@@ -74,9 +74,9 @@ def _draw(
 
 def _draw_contact(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     """Draw C under contact damping against δ/L, for all sizes and frequencies; note where it crosses zero."""
-    sizes = sorted({c.packing["particles"] for c in results.values()})
+    sizes = sorted({c.origin.particles for c in results.values()})
     for k, n in enumerate(sizes):
-        some = {name: c for name, c in results.items() if c.packing["particles"] == n}
+        some = {name: c for name, c in results.items() if c.origin.particles == n}
         mean = correlation_length(some)
         for w, omega in enumerate(mean.omega):
             label = rf"N = {n}, $\omega\tau_1$ = {omega:.0e} ({len(some)})"
@@ -85,7 +85,7 @@ def _draw_contact(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
         zero_stress = correlation_length(some, "imaginary")
         _note_lengths(study, zero_stress, f"contact damping, N = {n}, at zero stress")
     axes.axhline(0, color="0.6", lw=0.8)
-    pressure = next(iter(results.values())).packing["pressure"]
+    pressure = next(iter(results.values())).origin.pressure
     axes.set(xlabel=r"$\delta/L$", ylabel="$C$", ylim=(-1, 1.02))
     axes.set_title(f"(a) contact damping, p = {pressure:.2g}; (number of packings)", fontsize=10)
     axes.legend(frameon=False, fontsize=8)
@@ -112,7 +112,7 @@ def _draw_stokes(
         axes.plot(mean.delta / L, mean.C[w], color=colour, lw=1.2, label=label)
     axes.axhline(0, color="0.6", lw=0.8)
     axes.set(xlabel=r"$\delta/L$", ylabel="$C$", ylim=(-1, 1.02))
-    particles = groups[p][0].packing["particles"]
+    particles = groups[p][0].origin.particles
     axes.set_title(f"(b) Stokes drag, p = {p:.2g}, N = {particles} ({len(groups[p])} packings)", fontsize=10)
     axes.legend(frameon=False, fontsize=7)
 

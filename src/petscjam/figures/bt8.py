@@ -69,10 +69,10 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
 
 def _curves(results: Mapping[str, Any], law: DampingLaw, prestress: bool) -> dict[int, dict[float, list[float]]]:
     """Return η0 of the packings by number of disks and pressure, two packings or more."""
-    sizes = sorted({v.packing["particles"] for v in results.values()})
+    sizes = sorted({v.origin.particles for v in results.values()})
     curves = {}
     for n in sizes:
-        own = [v for v in results.values() if v.packing["particles"] == n]
+        own = [v for v in results.values() if v.origin.particles == n]
         groups = by_pressure(own, prestress=prestress, damping=law)
         curves[n] = {p: [v.eta0 for v in some] for p, some in groups.items() if len(some) > 1}
     return curves

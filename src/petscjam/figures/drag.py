@@ -108,7 +108,7 @@ def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[Non
         some = groups[max(groups)] if choose == "quasi-static" else lowest
         slopes = [_slope(g, part, choose) for g in some]
         error = np.std(slopes, ddof=1) / len(slopes) ** 0.5 if len(slopes) > 1 else np.nan
-        remark = f"p = {some[0].packing['pressure']:.2g}"
+        remark = f"p = {some[0].origin.pressure:.2g}"
         study.findings.append(Finding(f"{name}: {what}", float(np.mean(slopes)), float(error), paper, remark))
     p = np.array(list(groups))
     samples = [[float(g.values.imag[0]) for g in some] for some in groups.values()]
@@ -121,7 +121,7 @@ def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[Non
 
 def _slope(g: NonlinearModulus, part: Any, choose: str) -> float:
     """Return the slope where ωτ is below a tenth of the crossover p, or between ten p and ``AFFINE``."""
-    rate, p = g.omega * g.tau, g.packing["pressure"]
+    rate, p = g.omega * g.tau, g.origin.pressure
     kept = rate < 0.1 * p if choose == "quasi-static" else (rate > 10 * p) & (rate < AFFINE)
     if kept.sum() < 2:
         return np.nan

@@ -59,7 +59,7 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
     _draw_density(study, panels["density"], by_pressure(density.values()), colour)
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
     panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
-    particles = {r.packing["particles"] for r in modes.values()}
+    particles = {r.origin.particles for r in modes.values()}
     figure.suptitle(f"N = {', '.join(map(str, particles))}, without pre-stress; (number of packings)", fontsize=11)
     save(figure, picture)
 

@@ -178,7 +178,7 @@ class Study:
         wanted = {self.checksums[file] for file in files}
         results: dict[str, Any] = {}
         on_root(self.comm, lambda: results.update(read_results(output)))  # they may be large
-        return {name: r for name, r in results.items() if r.packing["checksum"] in wanted}
+        return {name: r for name, r in results.items() if r.origin.checksum in wanted}
 
     def tally(self, results: Mapping[str, Any], what: str) -> dict[str, Any]:
         """Return the stable results, and say how many were left out at each pressure. Collective.
@@ -192,9 +192,9 @@ class Study:
         packings: dict[str, set[str]] = {}
         lost: dict[str, set[str]] = {}
         for r in results.values():
-            key = f"N = {r.packing['particles']}, p = {r.packing['pressure']:.3g}, {given(r.prestress)}"
+            key = f"N = {r.origin.particles}, p = {r.origin.pressure:.3g}, {given(r.prestress)}"
             for kind in [packings] + [lost] * (not r.stable):
-                kind.setdefault(key, set()).add(r.packing["checksum"])
+                kind.setdefault(key, set()).add(r.origin.checksum)
         gone = "; ".join(f"{key}: {len(lost[key])} of {len(packings[key])}" for key in sorted(lost))
         self.tallies.append(f"{what}: packings left out as unstable (G0 ≤ 0 or negative modes): {gone or 'none'}.")
         if self.comm.bcast(bool(results) and not kept):

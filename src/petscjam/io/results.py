@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ast import literal_eval
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import Field, asdict, fields
@@ -22,6 +23,7 @@ from petscjam.base.types import Array, per_decade
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.response.modes import Modes
+from petscjam.response.origin import Judged, Origin, Result
 from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
@@ -29,7 +31,7 @@ from petscjam.rows.damping import LAWS, DampingLaw
 from petscjam.rows.kinematics import strain_mode
 
 FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
-KINDS: dict[str, type] = {
+KINDS: dict[str, type[Result]] = {
     FORMAT: ComplexModulus,
     "petscjam nonaffine": QuasistaticResponse,
     "petscjam viscosity": Viscosity,
@@ -40,180 +42,8 @@ KINDS: dict[str, type] = {
     "petscjam correlations": Correlations,
     "petscjam drag": NonlinearModulus,
 }
-UNITS = {
-    "omega": "1/tau1",
-    "values": "stress",
-    "residuals": "1",
-    "power_balance": "1",
-    "G0": "stress",
-    "eta0": "stress*tau1",
-    "G_inf": "stress",
-    "eta_inf": "stress*tau1",
-    "field_omega": "1/tau1",
-    "fields": "length per unit strain",
-    "nodes": "1/tau1",
-    "span": "1/tau1",
-    "motions": "length per unit strain",
-    "parallel": "length per unit strain",
-    "transverse": "length per unit strain",
-    "nonaffine": "length per unit strain",
-    "shear_modulus": "stress",
-    "eigenvalues": "stress",
-    "softening": "stress",
-    "G_affine": "stress",
-    "weights": "stress",
-    "times": "tau1",
-    "delta": "length",
-    "L": "length",
-    "width": "length",
-    "bin": "length",
-    "stress": "stress",
-    "tau": "tau1",
-    "contact_tau": "tau1",
-    "stretching": "stress",
-    "pre_stress": "stress",
-}
-OWN_UNITS: dict[type, dict[str, str]] = {  # where a name means something else
-    Modes: {"residuals": "stress", "frequencies": "(stress/mass)^1/2"},
-    Rebuilt: {
-        "frequencies": "(stress/mass)^1/2",
-        "medians": "length per unit strain",
-        "direct": "length per unit strain",
-    },
-    DensityOfStates: {"omega": "(stress/mass)^1/2", "edge": "(stress/mass)^1/2"},
-}
 SETTINGS = ("strain", "damping", "prestress")
-ADDED = {"rounding_only": False}  # what older files lack, and what they mean by it
-# As check_shapes reads them: F frequencies of fields, C contacts, which there may be none of, …
-SHAPES: dict[type, dict[str, str]] = {
-    ComplexModulus: {
-        "omega": "W",
-        "values": "W",
-        "residuals": "W",
-        "power_balance": "W",
-        "errors": "W",
-        "part_errors": "2 W",
-        "limit_residuals": "2",
-        "field_omega": "F",
-        "fields": "F N 2",
-    },
-    Spectrum: {
-        "span": "2",
-        "K": "M M",
-        "B": "M M",
-        "residual_K": "R",
-        "residual_B": "R",
-        "nodes": "F",
-        "gains": "F",
-        "gain_errors": "F",
-        "limits": "2 2",
-        "limit_errors": "2 2",
-        "forcing": "2",
-        "affine": "2",
-        "motions": "M N 2",
-    },
-    QuasistaticResponse: {"parallel": "C", "transverse": "C", "nonaffine": "n 2", "disks": "n", "contacts": "C 2"},
-    Viscosity: {},
-    Modes: {
-        "eigenvalues": "M",
-        "vectors": "M n 2",
-        "residuals": "M",
-        "disks": "n",
-        "participation": "M",
-        "floppiness": "M",
-        "amplitudes": "M",
-        "softening": "M",
-    },
-    RelaxationModes: {"times": "M", "weights": "M", "vectors": "M n 2", "residuals": "M", "disks": "n"},
-    Rebuilt: {
-        "counts": "K",
-        "medians": "3 K",
-        "direct": "3",
-        "frequencies": "M",
-        "floppiness": "M",
-        "participation": "M",
-        "softening": "M",
-    },
-    DensityOfStates: {
-        "omega": "W",
-        "density": "W",
-        "error": "W",
-        "cumulative": "W",
-        "resolution": "W",
-        "moments": "V M",
-    },
-    Correlations: {
-        "omega": "W",
-        "delta": "D",
-        "real": "W D",
-        "imaginary": "W D",
-        "pairs": "D",
-        "G": "W",
-        "errors": "W",
-    },
-    NonlinearModulus: {
-        "omega": "W",
-        "values": "W",
-        "tau": "W",
-        "spread": "W",
-        "iterations": "W",
-        "converged": "W",
-        "changes": "W",
-        "tau_changes": "W",
-        "residuals": "W",
-        "errors": "W",
-        "contact_tau": "W C",
-    },
-}
-FINITE = {  # the others may be NaN
-    "omega",
-    "values",
-    "field_omega",
-    "span",
-    "rtol",
-    "K",
-    "B",
-    "residual_K",
-    "residual_B",
-    "nodes",
-    "forcing",
-    "affine",
-    "area",
-    "pressure",
-    "delta",
-    "G",
-    "L",
-    "width",
-    "bin",
-    "density",
-    "cumulative",
-    "resolution",
-    "moments",
-    "edge",
-    "stress",
-    "alpha",
-    "parallel",
-    "transverse",
-    "nonaffine",
-    "eigenvalues",
-    "vectors",
-    "times",
-    "weights",
-    "medians",
-    "direct",
-    "frequencies",
-    "participation",
-}
-PACKING = {
-    "name": "str",
-    "checksum": "str",
-    "particles": "int",
-    "phi": "float",
-    "pressure": "float",
-    "Z": "float",
-    "rattlers": "int",
-}
-DERIVED = ("stable", "state")  # written for other readers, never read back
+ORIGIN = tuple(item.name for item in fields(Origin) if item.name not in (*SETTINGS, "versions"))  # group `packing`
 
 
 def group_name(packing: Packing, name: str) -> str:
@@ -242,11 +72,9 @@ def append_result(
         h5.attrs.update(format=kind, schema=SCHEMA, run=run)
         node = h5.create_group(group)
         node.attrs["made_with"] = made_with
-        for item in fields(result):
-            _write(node, item.name, getattr(result, item.name), OWN_UNITS.get(type(result), {}))
-        for name in DERIVED:
-            if hasattr(result, name):
-                node.attrs[name] = getattr(result, name)
+        _write_fields(node, result)
+        if isinstance(result, Judged):  # for other readers
+            node.attrs.update(stable=result.stable, state=result.state)
 
 
 def run_of(file: str | PathLike[str]) -> str | None:
@@ -273,7 +101,7 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
         kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
         if kind == FORMAT_MODEL and schema == SCHEMA:
             model = _read_model(h5)
-            return {model.packing["name"]: ComplexModulus.sampled(model, per_decade(10, *model.span))}
+            return {model.origin.name: ComplexModulus.sampled(model, per_decade(10, *model.span))}
         if kind not in KINDS or schema != SCHEMA:
             raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
         return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}
@@ -302,9 +130,9 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
             raise InputError(f"holds {shown(h5.attrs.get('format'))}, not results")
         items = []
         for name, node in h5.items():
-            law = _law(node["damping"]) if "damping" in node else node.attrs.get("damping")
-            checksum = node["packing"].attrs["checksum"]
-            items.append(Item(name, node.attrs["made_with"], checksum, str(law), bool(node.attrs["prestress"])))
+            origin = _origin(node)
+            said = str(origin.damping), origin.prestress
+            items.append(Item(name, node.attrs["made_with"], origin.checksum, *said))
         return items
 
 
@@ -360,7 +188,7 @@ def done(
     """
     laws, there = list(laws), set()
     for name, g in read_moduli(file).items():
-        own = {key: getattr(g, key) for key in SETTINGS}
+        own = {"strain": g.strain, "damping": str(g.damping), "prestress": g.prestress}
         reason = None
         if own not in laws:
             other = next((key for key in SETTINGS if all(own[key] != law[key] for law in laws)), "damping")
@@ -375,7 +203,7 @@ def done(
             reason = "with other frequencies kept (fields)"
         if reason:
             raise InputError(f"{file}: {name} was made {reason}; it cannot be resumed")
-        there.add((g.packing["checksum"], g.damping, g.prestress))
+        there.add((g.origin.checksum, str(g.damping), g.prestress))
     return there
 
 
@@ -390,8 +218,7 @@ def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: boo
     check_output(file, overwrite=overwrite)
     with atomic_h5(file) as h5:
         h5.attrs.update(format=FORMAT_MODEL, schema=SCHEMA)
-        for item in fields(model):
-            _write(h5, item.name, getattr(model, item.name))
+        _write_fields(h5, model)
 
 
 def read_spectrum(file: str | PathLike[str]) -> Spectrum:
@@ -411,12 +238,22 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
     return model
 
 
-def _write(node: Any, name: str, value: Any, own: Mapping[str, str] | None = None) -> None:
-    unit = {**UNITS, **(own or {})}.get(name)
+def _write_fields(node: Any, result: Result) -> None:
+    for item in fields(result):
+        _write(node, item.name, getattr(result, item.name), item.metadata.get("unit"))
+
+
+def _write(node: Any, name: str, value: Any, unit: str | None = None) -> None:
     if isinstance(value, np.ndarray):
         node[name] = value
         if unit:
             node[name].attrs["unit"] = unit
+    elif isinstance(value, Origin):
+        node.create_group("packing").attrs.update(
+            {key: getattr(value, key) for key in ORIGIN if getattr(value, key) is not None}
+        )
+        for key in (*SETTINGS, "versions"):
+            _write(node, key, getattr(value, key))
     elif isinstance(value, dict):
         node.create_group(name).attrs.update(value)
     elif isinstance(value, Packing):
@@ -425,9 +262,7 @@ def _write(node: Any, name: str, value: Any, own: Mapping[str, str] | None = Non
         geometry["cell"] = value.box.cell
         geometry.attrs["potential"] = value.potential_name
     elif isinstance(value, Spectrum):
-        model = node.create_group(name)
-        for item in fields(value):
-            _write(model, item.name, getattr(value, item.name))
+        _write_fields(node.create_group(name), value)
     elif isinstance(value, DampingLaw):
         node.create_group(name).attrs.update({"law": value.name, **asdict(value)})
     elif isinstance(value, tuple) and all(isinstance(line, str) for line in value):
@@ -440,36 +275,34 @@ def _write(node: Any, name: str, value: Any, own: Mapping[str, str] | None = Non
 
 def _read_model(node: Any) -> Spectrum:
     values = _values(node, Spectrum)
-    if "rounding_only" not in node.attrs and not (values["gains"].any() or values["estimate"]):
-        values["definite"] = False  # an older file: where the residual was rounding, it bounds no error
+    if "rounding_only" not in node.attrs:  # an older file: where the residual was rounding, it bounds no error
+        values["rounding_only"] = False
+        values["definite"] &= bool(values["gains"].any() or values["estimate"])
     pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
     return Spectrum(**{**values, **pairs})
 
 
-def _values(node: Any, kind: type) -> dict[str, Any]:
-    there = {*node, *node.attrs}
-    missing = {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}
-    if missing - set(ADDED):
-        raise InputError(f"{node.name} lacks {', '.join(sorted(missing - set(ADDED)))}")
-    values = {item.name: _value(node, item) if item.name in there else ADDED.get(item.name) for item in fields(kind)}
+def _values(node: Any, kind: type[Result]) -> dict[str, Any]:
+    there = {*node, *node.attrs, "origin", "rounding_only"}
+    if missing := {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}:
+        raise InputError(f"{node.name} lacks {', '.join(sorted(missing))}")
+    values = {item.name: _value(node, item) for item in fields(kind)}
+    for key in kind.settings:
+        if getattr(values["origin"], key) is None:
+            raise InputError(f"{node.name} lacks {key}")
     _check(node.name, kind, values)
     return values
 
 
-def _check(where: str, kind: type, values: Mapping[str, Any]) -> None:
+def _check(where: str, kind: type[Result], values: Mapping[str, Any]) -> None:
     """Refuse values of another type or shape than ``kind`` has, or that are not finite."""
     for item in fields(kind):
         value = values[item.name]
         check_type(f"{where}: {item.name}", value, str(item.type))
-        if item.name in FINITE and value is not None and not np.isfinite(value).all():
+        if item.metadata.get("finite") and value is not None and not np.isfinite(value).all():
             raise InputError(f"{where}: {item.name} is not finite")
-    check_shapes(where, SHAPES[kind], values)
-    for name, annotation in PACKING.items():
-        if name not in values["packing"]:
-            raise InputError(f"{where}: packing lacks {name}")
-        check_type(f"{where}: {name} of the packing", values["packing"][name], annotation)
-    if "strain" in values:
-        strain_mode(values["strain"])
+    axes = {item.name: item.metadata.get("axes") for item in fields(kind)}
+    check_shapes(where, {name: text for name, text in axes.items() if text}, values)
 
 
 def _may_be_none(item: Field) -> bool:
@@ -477,8 +310,10 @@ def _may_be_none(item: Field) -> bool:
 
 
 def _value(node: Any, item: Field) -> Any:
+    if item.name == "origin":
+        return _origin(node)
     if item.name not in node:
-        value = _plain(node.attrs[item.name])
+        value = _plain(node.attrs.get(item.name))
         if item.type == "float" and isinstance(value, int):
             return float(value)
         return tuple(value.splitlines()) if str(item.type).startswith("tuple[str") else value
@@ -490,16 +325,35 @@ def _value(node: Any, item: Field) -> Any:
         return Packing(inside["positions"][()], inside["radii"][()], cell, potential)
     if not hasattr(inside, "keys"):
         return inside[()]
-    if "law" in inside.attrs:
-        return _law(inside)
     return {key: _plain(value) for key, value in inside.attrs.items()}
 
 
-def _law(node: Any) -> DampingLaw:
-    settings = {key: _plain(value) for key, value in node.attrs.items()}
-    law = LAWS[settings.pop("law")](**settings)
+def _origin(node: Any) -> Origin:
+    packing = {key: value for key, value in node["packing"].attrs.items() if key in ORIGIN}
+    settings = {key: node.attrs[key] for key in ("strain", "prestress", "versions") if key in node.attrs}
+    values = {key: _plain(value) for key, value in {**packing, **settings}.items()}
+    law = node["damping"] if "damping" in node else node.attrs.get("damping")
+    values["damping"] = None if law is None else _law(law)
+    for item in fields(Origin):
+        if item.name not in values and not _may_be_none(item):
+            raise InputError(f"{node.name}: packing lacks {item.name}")
+        check_type(f"{node.name}: {item.name} of the packing", values.get(item.name), str(item.type))
+    if "strain" in values:
+        strain_mode(values["strain"])
+    return Origin(**values)
+
+
+def _law(said: Any) -> DampingLaw:
+    """Return the law of a group, or of a text that older files of moduli have."""
+    if isinstance(said, str):
+        name, _, rest = said.rstrip(")").partition(" (")
+        settings = {key: literal_eval(value) for key, value in (pair.split("=") for pair in rest.split(", ") if pair)}
+    else:
+        settings = {key: _plain(value) for key, value in said.attrs.items()}
+        name = settings.pop("law")
+    law = LAWS[name](**settings)
     for item in fields(law):
-        check_type(f"{node.name}: {item.name}", getattr(law, item.name), str(item.type))
+        check_type(f"damping: {item.name}", getattr(law, item.name), str(item.type))
     return law
 
 

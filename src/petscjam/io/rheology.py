@@ -162,21 +162,20 @@ def _times(times: ArrayLike) -> Array:
 
 def _parameters(source: Spectrum | ComplexModulus, **others: int) -> str:
     """Return ``key=value;`` pairs. RepTate cuts them at every ; and =, and reads the file as Latin-1."""
-    packing = source.packing
-    pairs = {"name": re.sub(r"[^\w.+-]", "_", str(packing["name"]), flags=re.ASCII), **others}
-    pairs |= {key: packing[key] for key in ("particles", "phi", "pressure", "checksum")}
+    origin = source.origin
+    pairs = {"name": re.sub(r"[^\w.+-]", "_", origin.name, flags=re.ASCII), **others}
+    pairs |= {key: getattr(origin, key) for key in ("particles", "phi", "pressure", "checksum")}
     return "".join(f"{key}={value};" for key, value in pairs.items())
 
 
 def _setting(source: Spectrum | ComplexModulus) -> str:
     setting = f"# {source.strain}, {source.damping}, {'with' if source.prestress else 'without'} pre-stress"
-    force = source.packing.get("net_force", 0.0)
-    balance = f"; net forces on disks reach {force:.2g} p d" * (source.packing.get("balanced") is False)
+    balance = f"; net forces on disks reach {source.origin.net_force:.2g} p d" * (source.origin.balanced is False)
     return f"{setting}; {source.state}{balance}"
 
 
 def _moduli(source: Spectrum | ComplexModulus) -> str:
-    return f"moduli in force per length of the {source.packing['potential']} potential"
+    return f"moduli in force per length of the {source.origin.potential} potential"
 
 
 def _text(lines: Sequence[str], columns: Sequence[Array], separator: str) -> bytes:

@@ -25,7 +25,7 @@ def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[st
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     axes = figure.subplots()
-    pressure = {name: nominal(d.packing["pressure"]) for name, d in results.items()}
+    pressure = {name: nominal(d.origin.pressure) for name, d in results.items()}
     known = sorted(set(pressure.values()), reverse=True)
     shades = colormaps["viridis"](np.linspace(0, 0.85, len(known)))
     blind = min(float(d.resolution.max()) for d in results.values())

@@ -49,7 +49,7 @@ def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]
     panels[2].set_title(r"friction time $\tau/\tau_1$; band: spread of $\ln\tau_c$")
     first = next(iter(results.values()))
     figure.suptitle(
-        f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}; {first.strain}; "
+        f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}; {first.strain}; "
         f"{'with' if first.prestress else 'without'} pre-stress",
         fontsize=10,
     )

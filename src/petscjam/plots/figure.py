@@ -33,7 +33,7 @@ def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] |
     known = figure.canvas.get_supported_filetypes()
     if kind not in known:
         raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
-    forces = [r.packing["net_force"] for r in (results or {}).values() if r.packing.get("balanced") is False]
+    forces = [r.origin.net_force for r in (results or {}).values() if r.origin.balanced is False]
     if forces:
         count = f"{len(forces)} of {len(results)} results: " if results and len(results) > 1 else ""
         figure.supxlabel(f"{count}not in balance: net forces on disks reach {max(forces):.2g} p·d", color=UNSTABLE)

@@ -36,8 +36,7 @@ def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
         for k in range(min(DRAWN, len(first.eigenvalues)))
     ]
     _draw_vectors(left, first, titles)
-    p = first.packing
-    title = f"{p['particles']} disks, p = {p['pressure']:.3g}"
+    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}"
     title += f"; {'with' if first.prestress else 'without'} pre-stress"
     left.suptitle(f"{name}: {title}" if len(results) > 1 else title, fontsize=10)
     panels = right.subplots(3, 1)
@@ -61,7 +60,7 @@ def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLik
     first = next(iter(results.values()))
     titles = [f"τ = {tau:.3g} τ₁, weight {g:.1e} k" for tau, g in zip(first.times, first.weights, strict=True)]
     _draw_vectors(left, first, titles)
-    left.suptitle(f"{first.packing['particles']} disks, p = {first.packing['pressure']:.3g}, {first.damping}")
+    left.suptitle(f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}, {first.damping}")
     axes = right.subplots()
     for name, r in results.items():
         axes.loglog(r.times, r.weights, "o", ms=3, label=name if len(results) <= NAMED else None)

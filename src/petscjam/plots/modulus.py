@@ -97,8 +97,8 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     if any((g.values.real < 0).any() for g in bad):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
     axes.legend(loc="upper left", frameon=False)
-    p, count = first.packing, len(results)
-    title = f"{p['particles']} disks, p = {p['pressure']:.3g}" if one else f"{count} packings"
+    count = len(results)
+    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}" if one else f"{count} packings"
     laws = {g.damping for g in results.values()}
     title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
     if len({g.prestress for g in results.values()}) == 1:

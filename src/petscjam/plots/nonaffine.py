@@ -39,7 +39,7 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     figure = Figure(figsize=(12.5, 8), layout="constrained")
     panels = figure.subplot_mosaic([["parallel", "transverse", "nonaffine"], ["scaling", "scaling", "field"]])
     kept, title = solids(results)
-    colours = pressure_colours([r.packing["pressure"] for r in results.values()])
+    colours = pressure_colours([r.origin.pressure for r in results.values()])
     for motion in MOTIONS:
         draw_distribution(panels[motion], list(kept.values()), motion, colours)
     _draw_scaling(panels["scaling"], list(kept.values()))
@@ -99,4 +99,4 @@ def draw_field(axes: Any, r: QuasistaticResponse) -> None:
     axes.plot(*outline.T, color="0.6", lw=0.8)
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
-    axes.set_title(f"non-affine motion, p = {r.packing['pressure']:.2g}, {given(r.prestress)}", fontsize=9)
+    axes.set_title(f"non-affine motion, p = {r.origin.pressure:.2g}, {given(r.prestress)}", fontsize=9)

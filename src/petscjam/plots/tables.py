@@ -22,6 +22,7 @@ from petscjam.preparation.library import Library
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
+from petscjam.rows.damping import DampingLaw
 
 
 def describe_packing(packing: Packing) -> str:
@@ -196,13 +197,13 @@ def table(results: Mapping[str, Any]) -> str:
 
 def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mapping[str, float | str]]) -> str:
     """Return a line for each result, with its notes below."""
-    strain = getattr(next(iter(results.values())), "strain", None)
+    strain = next(iter(results.values())).origin.strain
     header = units + f"; {strain}" * (strain is not None)
     width = max(len(name) for name in results)
     rows = {
         name: {
-            "N": f"{r.packing['particles']}",
-            "p": f"{r.packing['pressure']:.3e}",
+            "N": f"{r.origin.particles}",
+            "p": f"{r.origin.pressure:.3e}",
             "pre-stress": "with" if r.prestress else "without",
             **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in columns(r).items()},
         }
@@ -317,7 +318,7 @@ COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
 
 def moduli_table(results: Mapping[str, ComplexModulus]) -> str:
     """Return a table of ``results`` for each law: limits, worst error, and whether the packing is stable."""
-    blocks: dict[tuple[str, str, bool, bool], dict[str, ComplexModulus]] = {}
+    blocks: dict[tuple[str, DampingLaw, bool, bool], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
         blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None), {})[name] = g
     return "\n\n".join(_block(some) for some in blocks.values())
@@ -339,11 +340,11 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
         f"{'G0':>12} {'eta0':>12} {'G_inf':>12} {'eta_inf':>12} {what:>8}  state",
     ]
     for name, g in results.items():
-        p = g.packing
+        p = g.origin
         limits = " ".join(f"{_value(x):>12}" for x in (g.G0, g.eta0, g.G_inf, g.eta_inf))
         worst = (g.errors if g.model else g.residuals).max()
         lines.append(
-            f"{name:{width}} {p['particles']:7d} {p['phi']:8.5f} {p['pressure']:9.3e} {p['Z']:6.3f} "
+            f"{name:{width}} {p.particles:7d} {p.phi:8.5f} {p.pressure:9.3e} {p.Z:6.3f} "
             f"{limits} {worst:8.1e}  {g.state}"
         )
         lines += [f"{'':{width}} {note}" for note in g.notes]

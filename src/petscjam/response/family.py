@@ -87,7 +87,7 @@ class Family:
             self.base,
             B=(1 - beta) * self.B0 + beta * self.B1,
             affine=(self.base.affine[0], mixed),
-            damping=ContactDamping(beta, self.rotations),
+            origin=replace(self.base.origin, damping=ContactDamping(beta, self.rotations)),
         )
         limits, limit_errors = model.own_limits()
         far = ~(limit_errors.max(1) < PLATEAU)
@@ -198,10 +198,7 @@ def beta_family(
         definite=False,
         negative_modes=problem.negative_modes,
         zero_modes=problem.zero_modes,
-        strain=strain,
-        damping=ContactDamping(1.0, rotations),
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name, strain, problem.law),
         notes=tuple(problem.notes),
         performance=performance,
         motions=fields,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.preparation.certify import EPS, below_all, hessian, pivots_below
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
@@ -46,7 +47,7 @@ class QuasistaticParts(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Result):
     """The lowest modes of K on the backbone, translations left out. Units: stress k (BT) or ke/d² (VOT).
 
     Attributes
@@ -72,32 +73,24 @@ class Modes:
         (v·K_uγ)²/(λV), by how much it lowers the modulus: G0 = ``G_affine`` − Σ softening over all modes.
     G_affine : float
         The modulus before anything relaxes.
-    strain : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     geometry : Packing
-    notes : tuple of str
     performance : dict
         Ranks, unknowns, eigensolves and counts, seconds.
     """
 
-    eigenvalues: Array
-    vectors: Array
-    residuals: Array
+    eigenvalues: Array = field(metadata=stored("stress", "M", finite=True))
+    vectors: Array = field(metadata=stored(axes="M n 2", finite=True))
+    residuals: Array = field(metadata=stored("stress", "M"))
     complete: bool | None
-    disks: Integers
-    participation: Array
-    floppiness: Array
-    amplitudes: Array
-    softening: Array
-    G_affine: float
-    strain: str
-    prestress: bool
-    packing: dict[str, Any]
+    disks: Integers = field(metadata=stored(axes="n"))
+    participation: Array = field(metadata=stored(axes="M", finite=True))
+    floppiness: Array = field(metadata=stored(axes="M"))
+    amplitudes: Array = field(metadata=stored(axes="M"))
+    softening: Array = field(metadata=stored("stress", "M"))
+    G_affine: float = field(metadata=stored("stress"))
     geometry: Packing
-    notes: tuple[str, ...] = ()
     performance: dict[str, Any] = field(default_factory=dict)
+    settings: ClassVar[tuple[str, ...]] = ("strain",)
 
     @property
     def frequencies(self) -> Array:
@@ -216,9 +209,7 @@ def lowest_modes(
         amplitudes=amplitudes,
         softening=-mode.scale * amplitudes * force / packing.box.area,
         G_affine=problem.modulus(problem.affine[0]).real,
-        strain=strain,
-        prestress=prestress,
-        packing=describe(problem, name),
+        origin=describe(problem, name, strain),
         geometry=packing,
         notes=(*problem.notes, *search.notes),
         performance=comm.bcast(performance),

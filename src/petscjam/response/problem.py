@@ -10,12 +10,15 @@ import numpy as np
 
 from petscjam.base.errors import SolverError
 from petscjam.base.types import Array, Integers
+from petscjam.base.versions import __version__
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.memory import give_back_memory
+from petscjam.parallel.petsc import petsc
 from petscjam.preparation.certify import dependent_rows, modes
 from petscjam.response.dofs import Dofs, Ownership, unknowns
+from petscjam.response.origin import Origin
 from petscjam.rows.damping import DampingLaw, viscous_form
 from petscjam.rows.kinematics import Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
 
@@ -161,19 +164,23 @@ class LinearProblem:
         return self.strains[0].scale * dissipation / self.packing.box.area
 
 
-def describe(problem: LinearProblem, name: str) -> dict[str, Any]:
-    """Return what identifies the packing of ``problem`` in a result."""
+def describe(problem: LinearProblem, name: str, strain: str | None = None, damping: DampingLaw | None = None) -> Origin:
+    """Return where a result of ``problem`` comes from; the strain and the law are named where they matter."""
     packing, network = problem.packing, problem.backbone
-    return {
-        "name": name,
-        "checksum": packing.checksum,
-        "particles": len(packing),
-        "phi": packing.phi,
-        "diameter": packing.mean_diameter,
-        "pressure": network.pressure,
-        "Z": network.Z,
-        "rattlers": network.rattlers,
-        "potential": packing.potential_name,
-        "balanced": problem.balanced,
-        "net_force": problem.net_force,
-    }
+    return Origin(
+        name=name,
+        checksum=packing.checksum,
+        particles=len(packing),
+        phi=packing.phi,
+        diameter=packing.mean_diameter,
+        pressure=network.pressure,
+        Z=network.Z,
+        rattlers=network.rattlers,
+        potential=packing.potential_name,
+        balanced=problem.balanced,
+        net_force=problem.net_force,
+        strain=strain,
+        damping=damping,
+        prestress=problem.prestress,
+        versions=f"petscjam {__version__}, PETSc {'.'.join(map(str, petsc().Sys.getVersion()))}",
+    )

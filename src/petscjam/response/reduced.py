@@ -126,10 +126,7 @@ def spectrum(
             definite=problem.definite,
             negative_modes=problem.negative_modes,
             zero_modes=problem.zero_modes,
-            strain=strain,
-            damping=law,
-            prestress=prestress,
-            packing=describe(problem, name),
+            origin=describe(problem, name, strain, law),
         )
         model = _until_certified(grow, make, progress)
         limits, limit_errors = comm.bcast(_own_limits(model, problem.notes))

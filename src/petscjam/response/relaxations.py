@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.preparation.certify import negative_pivots, pivots_below
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
+from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
 from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
@@ -35,7 +36,7 @@ INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
 
 @dataclass(frozen=True, eq=False)
-class RelaxationModes:
+class RelaxationModes(Result):
     """The slowest relaxations. Units: time τ1, stress k (BT) or ke/d² (VOT).
 
     G* = G0 + iωη∞ + Σ_m weight_m iωτ_m/(1 + iωτ_m) over all modes.
@@ -54,30 +55,20 @@ class RelaxationModes:
         True: a count of all slower relaxations proves that none was missed; None where a note says why not.
     disks : (n,)
         Which disks of the packing these are.
-    strain : str
-    damping : DampingLaw
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     geometry : Packing
-    notes : tuple of str
     performance : dict
         Ranks, unknowns, eigensolves and counts, seconds.
     """
 
-    times: Array
-    weights: Array
-    vectors: Array
-    residuals: Array
+    times: Array = field(metadata=stored("tau1", "M", finite=True))
+    weights: Array = field(metadata=stored("stress", "M", finite=True))
+    vectors: Array = field(metadata=stored(axes="M n 2", finite=True))
+    residuals: Array = field(metadata=stored("1", "M"))
     complete: bool | None
-    disks: Integers
-    strain: str
-    damping: DampingLaw
-    prestress: bool
-    packing: dict[str, Any]
+    disks: Integers = field(metadata=stored(axes="n"))
     geometry: Packing
-    notes: tuple[str, ...] = ()
     performance: dict[str, Any] = field(default_factory=dict)
+    settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
 
 
 def relaxation_modes(
@@ -151,19 +142,16 @@ def relaxation_modes(
         found = _under_contact_damping(problem, count, progress)
     performance = {**found.performance, "seconds": comm.bcast(time.perf_counter() - start)}
     return RelaxationModes(
-        found.times,
-        found.weights,
-        found.vectors,
-        found.residuals,
-        found.complete,
-        np.flatnonzero(problem.backbone.backbone),
-        strain,
-        law,
-        prestress,
-        describe(problem, name),
-        packing,
-        tuple(problem.notes),
-        performance,
+        origin=describe(problem, name, strain, law),
+        times=found.times,
+        weights=found.weights,
+        vectors=found.vectors,
+        residuals=found.residuals,
+        complete=found.complete,
+        disks=np.flatnonzero(problem.backbone.backbone),
+        geometry=packing,
+        notes=tuple(problem.notes),
+        performance=performance,
     )
 
 

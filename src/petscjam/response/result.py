@@ -6,14 +6,14 @@ Axes: w frequency, i disk, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
-from petscjam.response.origin import Judged, frequencies
+from petscjam.response.origin import Judged, frequencies, stored
 from petscjam.response.spectrum import Spectrum
 
 
@@ -41,14 +41,6 @@ class ComplexModulus(Judged):
         ω → ∞: G′ and G″/ω.
     limit_residuals : (2,)
         Residuals of the solves for the two limits; of a reduced model, bounds on their relative errors.
-    negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
-    strain, damping : str
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
-    notes : tuple of str
-        What could not be had, and why.
     field_omega : (F,)
         Frequencies whose displacements are kept.
     fields : (F, N, 2) complex
@@ -62,29 +54,25 @@ class ComplexModulus(Judged):
         The reduced model that the values are of; None where each frequency was solved for.
     """
 
-    omega: Array
-    values: NDArray[np.complex128]
-    residuals: Array
-    power_balance: Array
-    errors: Array
-    part_errors: Array
-    G0: float
-    eta0: float
-    G_inf: float
-    eta_inf: float
-    limit_residuals: Array
-    negative_modes: int | None
-    zero_modes: int | None
-    strain: str
-    damping: str
-    prestress: bool
-    packing: dict[str, Any]
-    notes: tuple[str, ...] = ()
-    field_omega: Array = field(default_factory=lambda: np.empty(0))
-    fields: NDArray[np.complex128] = field(default_factory=lambda: np.empty((0, 0, 2), complex))
+    omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
+    values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
+    residuals: Array = field(metadata=stored("1", "W"))
+    power_balance: Array = field(metadata=stored("1", "W"))
+    errors: Array = field(metadata=stored(axes="W"))
+    part_errors: Array = field(metadata=stored(axes="2 W"))
+    G0: float = field(metadata=stored("stress"))
+    eta0: float = field(metadata=stored("stress*tau1"))
+    G_inf: float = field(metadata=stored("stress"))
+    eta_inf: float = field(metadata=stored("stress*tau1"))
+    limit_residuals: Array = field(metadata=stored(axes="2"))
+    field_omega: Array = field(default_factory=lambda: np.empty(0), metadata=stored("1/tau1", "F", finite=True))
+    fields: NDArray[np.complex128] = field(
+        default_factory=lambda: np.empty((0, 0, 2), complex), metadata=stored("length per unit strain", "F N 2")
+    )
     geometry: Packing | None = None
     performance: dict[str, Any] = field(default_factory=dict)
     model: Spectrum | None = None
+    settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
@@ -119,10 +107,7 @@ class ComplexModulus(Judged):
             limit_residuals=model.limit_errors.max(1),
             negative_modes=model.negative_modes,
             zero_modes=model.zero_modes,
-            strain=model.strain,
-            damping=str(model.damping),
-            prestress=model.prestress,
-            packing=model.packing,
+            origin=model.origin,
             notes=model.notes,
             field_omega=kept,
             fields=fields if len(kept) else np.empty((0, 0, 2), complex),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
-from petscjam.response.origin import Judged, frequencies
-from petscjam.rows.damping import DampingLaw, StokesDrag
+from petscjam.response.origin import Judged, frequencies, stored
+from petscjam.rows.damping import StokesDrag
 from petscjam.rows.kinematics import strain_mode
 
 EPS = float(np.finfo(float).eps)
@@ -70,21 +70,13 @@ class Spectrum(Judged):
         K_γγ and B_γγ, before anything relaxes.
     area, pressure : float
         Of the cell; the pressure counts in the bulk modulus with pre-stress.
-    negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
     definite : bool
         Whether K is known to have none: then :meth:`error` is a bound, else an estimate.
-    strain : str
-    damping : DampingLaw
-    prestress : bool
-    packing : dict
-        Name, checksum, particles, phi, diameter, pressure, Z, rattlers, potential, balanced, net_force (p·d).
     rounding_only : bool
         Whether the residual in the span is rounding: its length is then one that it does not exceed, and
         nothing is known beyond the span.
     estimate : float
         Error of |G*|, relative, that is only estimated, and part of every error (members of a family).
-    notes : tuple of str
     performance : dict
         Ranks, seconds, MUMPS memory (MB) and flops of a factorisation, largest residual of a solve.
     motions : (M, N, 2) or None
@@ -93,34 +85,28 @@ class Spectrum(Judged):
         The packing, kept with the motions.
     """
 
-    span: tuple[float, float]
-    rtol: float
-    K: Array
-    B: Array
-    residual_K: Array
-    residual_B: Array
-    nodes: Array
-    gains: Complex
-    gain_errors: Array
-    limits: Array
-    limit_errors: Array
-    forcing: tuple[float, float]
-    affine: tuple[float, float]
-    area: float
-    pressure: float
-    negative_modes: int | None
-    zero_modes: int | None
+    span: tuple[float, float] = field(metadata=stored("1/tau1", "2", finite=True))
+    rtol: float = field(metadata=stored(finite=True))
+    K: Array = field(metadata=stored(axes="M M", finite=True))
+    B: Array = field(metadata=stored(axes="M M", finite=True))
+    residual_K: Array = field(metadata=stored(axes="R", finite=True))
+    residual_B: Array = field(metadata=stored(axes="R", finite=True))
+    nodes: Array = field(metadata=stored("1/tau1", "F", finite=True))
+    gains: Complex = field(metadata=stored(axes="F"))
+    gain_errors: Array = field(metadata=stored(axes="F"))
+    limits: Array = field(metadata=stored(axes="2 2"))
+    limit_errors: Array = field(metadata=stored(axes="2 2"))
+    forcing: tuple[float, float] = field(metadata=stored(axes="2", finite=True))
+    affine: tuple[float, float] = field(metadata=stored(axes="2", finite=True))
+    area: float = field(metadata=stored(finite=True))
+    pressure: float = field(metadata=stored(finite=True))
     definite: bool
-    strain: str
-    damping: DampingLaw
-    prestress: bool
-    packing: dict[str, Any]
     rounding_only: bool = False
     estimate: float = 0.0
-    notes: tuple[str, ...] = ()
     performance: dict[str, Any] = field(default_factory=dict)
-    motions: Array | None = None
+    motions: Array | None = field(default=None, metadata=stored("length per unit strain", "M N 2"))
     geometry: Packing | None = None
+    settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
 
     def __call__(self, omegas: ArrayLike) -> Complex:
         """Return G* at ``omegas`` (any shape), 1/τ1."""
@@ -297,7 +283,7 @@ class Spectrum(Judged):
         limits[:, 1] += law.fluid - self.damping.fluid
         with np.errstate(divide="ignore", invalid="ignore"):
             limit_errors = self.limit_errors * abs(self.limits / limits)
-        other = replace(self, damping=law, limits=limits, limit_errors=limit_errors)
+        other = replace(self, origin=replace(self.origin, damping=law), limits=limits, limit_errors=limit_errors)
         worst = float(other.error(np.geomspace(*self.span, 201)).max())
         if worst > max(self.rtol, self.error(np.geomspace(*self.span, 201)).max()):
             other = replace(other, notes=(*self.notes, f"with ηF = {eta_fluid:g} the errors reach {worst:.1e}"))
