@@ -16,7 +16,7 @@ from petscjam.analysis.correlations import (
     minimum,
     zero_crossing,
 )
-from petscjam.plots.correlations import plot_correlations
+from petscjam.plots import plot_results
 from petscjam.reference import linear as reference
 
 DATA = Path(__file__).parent / "data"
@@ -370,10 +370,10 @@ def test_a_model_without_motions_is_refused():
 
 def test_figure_is_drawn(tmp_path):
     results = {str(law): correlations_of(model(law), [1e-3, 1.0]) for law in (None, pj.StokesDrag())}
-    plot_correlations(results, tmp_path / "correlations.png")
+    plot_results(results, tmp_path / "correlations.png")
     assert (tmp_path / "correlations.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_figure_of_unstable_packings_alone_says_so(tmp_path, titles):
-    plot_correlations({"a": replace(straight(2.0), negative_modes=1)}, tmp_path / "none.png")
+    plot_results({"a": replace(straight(2.0), negative_modes=1)}, tmp_path / "none.png")
     assert "1 result, UNSTABLE: 1 negative modes" in titles

@@ -37,9 +37,8 @@ READER = """
 import pickle, sys
 from dataclasses import fields, is_dataclass
 from petscjam.base.errors import InputError
-from petscjam.io.results import is_result, read_results
-from petscjam.io.importers import import_packing
-from petscjam.md.result import is_run, read
+from petscjam.io.kinds import recognise
+from petscjam.plots.files import CONTENTS
 
 def plain(x):
     if is_dataclass(x):
@@ -50,8 +49,7 @@ def plain(x):
 
 for path in map(str.strip, sys.stdin):
     try:
-        reader = read if is_run(path) else read_results if is_result(path) else import_packing
-        print(hash(repr(plain(reader(path)))), flush=True)
+        print(hash(repr(plain(CONTENTS[recognise(path)].read(path)))), flush=True)
     except InputError as error:
         assert str(error).startswith(path + ": ") and "\\n" not in str(error), error
         print("refused", flush=True)

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 import petscjam as pj
 from petscjam.analysis import density
 from petscjam.analysis.density import DensityOfStates, density_of_states, highest, plateau
-from petscjam.plots.density import plot_density
+from petscjam.plots import plot_results
 from petscjam.reference import linear as reference
 from petscjam.response.origin import Origin
 
@@ -347,5 +347,5 @@ def test_start_vectors_of_few_disks_have_length_one_and_no_preference():
 
 
 def test_the_figure_is_written(tmp_path):
-    plot_density({"with": states(), "without": states(prestress=False)}, tmp_path / "density.png")
+    plot_results({"with": states(), "without": states(prestress=False)}, tmp_path / "density.png")
     assert (tmp_path / "density.png").read_bytes().startswith(b"\x89PNG")

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import petscjam as pj
 from petscjam.analysis.contact_drag import contact_times, self_consistent_drag
 from petscjam.analysis.drag import equivalent_drag, equivalent_time, line_factor
-from petscjam.plots.drag import plot_drag
+from petscjam.plots import plot_results
 from petscjam.reference import linear as reference
 
 DATA = Path(__file__).parent / "data"
@@ -404,5 +404,5 @@ def test_figure(tmp_path):
         for drag in (equivalent_drag, self_consistent_drag)
         for stress in (0.01, 0.1)
     }
-    plot_drag(results, tmp_path / "drag.png")
+    plot_results(results, tmp_path / "drag.png")
     assert (tmp_path / "drag.png").stat().st_size > 20_000

@@ -695,7 +695,7 @@ def test_motions_that_do_not_relax_are_refused(law):
 
 @pytest.mark.parametrize("packings", [[jammed], [random_disks], [sixteen, jammed, random_disks]])
 def test_a_figure_is_drawn(tmp_path, packings):
-    from petscjam.plots.modes import plot_modes
+    from petscjam.plots import plot_results
 
-    plot_modes({make.__name__: lowest_modes(make(), 5) for make in packings}, tmp_path / "modes.png")
+    plot_results({make.__name__: lowest_modes(make(), 5) for make in packings}, tmp_path / "modes.png")
     assert (tmp_path / "modes.png").read_bytes().startswith(b"\x89PNG")

@@ -31,6 +31,8 @@ ABSURD = """
 ABSURD = ["", "9" * 5000, *ABSURD.split()]
 pytestmark = pytest.mark.parallel(nprocs=1)
 VERBS = build_parser()._subparsers._group_actions[0].choices
+for parser in VERBS.values():
+    parser.complete()
 GIVEN = ("output", "config", "help", "start", "parameters")  # files, and what does not compute
 
 

@@ -10,6 +10,7 @@ Axes: i disk, f field, w frequency, d distance, l lane.
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
@@ -17,15 +18,15 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
-from petscjam.base.ranges import Range
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.parallel.memory import require
-from petscjam.response.origin import Judged, frequencies, stored
+from petscjam.response.origin import Judged, Verb, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw
@@ -91,6 +92,20 @@ class Correlations(Judged):
     bin: float = field(metadata=stored("length", finite=True))
     G0: float = field(metadata=stored("stress"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
+    units: ClassVar[str] = "lengths in d"
+    figure: ClassVar[str] = "petscjam.plots.correlations:correlations_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        low, high = (f"{self.length[k] / self.L:.4g}" for k in (np.argmin(self.omega), np.argmax(self.omega)))
+        return {
+            "law": str(self.damping),
+            "lane": self.width,
+            "l/L at low omega": low,
+            "at high": high,
+            "error": f"{self.errors.max():.0e}",
+            "state": self.state,
+        }
 
     @property
     def length(self) -> Array:
@@ -315,7 +330,7 @@ class _Lanes(NamedTuple):
             raise InputError(f"box: lanes need a lattice vector along x, and {cell.tolist()} has none")
         L, height = abs(float(cell[x, 0])), abs(float(cell[1 - x, 1]))
         for what, value, most in (("width", width, height), ("bin", bin, L / 2)):
-            Range(FINEST * packing.mean_diameter, most).check(f"{what}:", value)
+            ranges.Range(FINEST * packing.mean_diameter, most).check(f"{what}:", value)
         lanes, bins = int(np.ceil(height / width)), int(np.ceil(L / bin))
         across = packing.box.fractional(packing.positions)[:, 1 - x]
         along = packing.positions[:, 0] - np.floor(across) * cell[1 - x, 0]
@@ -326,3 +341,21 @@ class _Lanes(NamedTuple):
         """Refuse more lanes and bins than there is memory for."""
         lanes, bins = self.shape
         require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins", comm)
+
+
+def _options(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--omega",
+        dest="omegas",
+        type=arguments.Within(arguments.frequencies, ranges.OMEGA),
+        default="1e-8:1e0:9",
+        metavar="RANGE",
+        help="angular frequencies in 1/tau1: A:B:N or a list A,B,… (default 1e-8:1e0:9)",
+    )
+    text = "height of a lane, in the length unit of the packing (default: a mean diameter)"
+    parser.add_argument("--width", type=arguments.number, metavar="X", help=text)
+    text = "step of the distance along x (default: half a mean diameter)"
+    parser.add_argument("--bin", type=arguments.number, metavar="X", help=text)
+
+
+VERB = Verb(correlations, "C(distance) at peak and at zero stress", _options)

@@ -8,14 +8,16 @@ Axes: w frequency, v random vector, m moment, c contact, i disk, x Cartesian.
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.analysis.statistics import standard_error
 from petscjam.base import ranges
+from petscjam.base.arguments import Within, integer
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import check
 from petscjam.base.progress import Report
@@ -26,7 +28,7 @@ from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.memory import require
 from petscjam.parallel.petsc import destroying, stage
 from petscjam.response.matrices import assembled
-from petscjam.response.origin import Result, stored
+from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import SIMPLE_SHEAR, displacements
@@ -83,6 +85,20 @@ class DensityOfStates(Result):
     edge: float = field(metadata=stored("(stress/mass)^1/2", finite=True))
     modes: int
     negative_modes: int | None
+    units: ClassVar[str] = "frequencies in (k/m)^½, densities in their inverse"
+    figure: ClassVar[str] = "petscjam.plots.density:density_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        found = plateau(self)
+        return {
+            "moments": f"{self.moments.shape[1]}",
+            "vectors": f"{self.moments.shape[0]}",
+            "highest": self.edge,
+            "plateau": found.height,
+            "±": found.height_error,
+            "onset": found.onset,
+        }
 
     def at(self, omega: ArrayLike) -> DensityOfStates:
         """Return the same at other frequencies (W,), 0 ≤ ω < Ω.
@@ -312,3 +328,19 @@ def plateau(density: DensityOfStates) -> Plateau:
         return Plateau(height, error, np.nan)
     step = slice(below[-1], below[-1] + 2)
     return Plateau(height, error, float(np.interp(height / 2, D[step], omega[step])))
+
+
+def _options(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--moments",
+        type=Within(integer, ranges.MOMENTS),
+        default=1024,
+        metavar="M",
+        help="Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)",
+    )
+    count, seed = Within(integer, ranges.VECTORS), Within(integer, ranges.SEED)
+    parser.add_argument("--vectors", type=count, default=16, metavar="V", help="random vectors (default 16)")
+    parser.add_argument("--seed", type=seed, default=1, help="of the random vectors (default 1)")
+
+
+VERB = Verb(density_of_states, "D(omega) with its error and resolution", _options)

@@ -10,6 +10,7 @@ Axes: w frequency, c contact of the backbone.
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -18,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import gamma
 
-from petscjam.base import ranges
+from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.potential import potential
 from petscjam.parallel.comm import agree
-from petscjam.response.origin import Result, frequencies, stored
+from petscjam.response.origin import Result, Verb, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import EDGE, Spectrum
 from petscjam.rows.damping import ContactDamping
@@ -82,6 +83,19 @@ class NonlinearModulus(Result):
     errors: Array = field(metadata=stored(axes="W"))
     contact_tau: Array = field(metadata=stored("tau1", "W C"))
     settings: ClassVar[tuple[str, ...]] = ("strain",)
+    units: ClassVar[str] = "stress in k"
+    figure: ClassVar[str] = "petscjam.plots.drag:drag_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        return {
+            "form": self.form,
+            "alpha": self.alpha,
+            "stress": self.stress,
+            "most iterations": f"{self.iterations.max()}",
+            "converged": f"{self.converged.sum()} of {len(self.omega)}",
+            "change": f"{self.changes.max():.0e}",
+        }
 
     def at(self, stress: float) -> NonlinearModulus:
         """Return the same at another amplitude, exactly and without a solve, at other frequencies.
@@ -221,3 +235,23 @@ def check_amplitude(stress: float, alpha: float) -> None:
     """Refuse what is not in its range."""
     ranges.STRESS.check("stress:", stress)
     ranges.ALPHA.check("alpha:", alpha)
+
+
+def _options(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--omega",
+        dest="omegas",
+        type=arguments.Within(arguments.frequencies, ranges.OMEGA),
+        default="1e-6:1e1:29",
+        metavar="RANGE",
+        help="angular frequencies in 1/tau1: A:B:N or a list A,B,… (default 1e-6:1e1:29)",
+    )
+    stress, alpha = (arguments.Within(arguments.number, range) for range in (ranges.STRESS, ranges.ALPHA))
+    parser.add_argument("--stress", type=stress, required=True, metavar="X", help="amplitude of the stress, in k")
+    text = "exponent of the force law, above 0; 1 is linear (default 2/3)"
+    parser.add_argument("--alpha", type=alpha, default=2 / 3, metavar="X", help=text)
+    text = "one time for the whole packing, as in the paper, not each contact its own"
+    parser.add_argument("--uniform", dest="analyse", action="store_const", const=equivalent_drag, help=text)
+
+
+VERB = Verb("petscjam.analysis.contact_drag:self_consistent_drag", "G*, effective times, convergence", _options)

@@ -17,7 +17,7 @@ from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.response.limits import quasistatic
-from petscjam.response.origin import Judged, stored
+from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, strain_mode
@@ -59,6 +59,22 @@ class QuasistaticResponse(Judged):
     residual: float
     geometry: Packing
     settings: ClassVar[tuple[str, ...]] = ("strain",)
+    units: ClassVar[str] = "moduli in k, motions in d per unit strain"
+    figure: ClassVar[str] = "petscjam.plots.nonaffine:nonaffine_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        medians = {f"median {motion}": float(np.median(self.sizes(motion))) for motion in MOTIONS}
+        means = {f"mean {motion}": float(self.sizes(motion).mean()) for motion in MOTIONS}
+        return {
+            "G0": self.shear_modulus,
+            "stretching": self.stretching,
+            "pre-stress term": self.pre_stress,
+            **medians,
+            **means,
+            "residual": f"{self.residual:.0e}",
+            "state": self.state,
+        }
 
     @property
     def G0(self) -> float:
@@ -136,3 +152,6 @@ def quasistatic_response(
         geometry=packing,
         notes=tuple(problem.notes),
     )
+
+
+VERB = Verb(quasistatic_response, "relative displacements of every contact and non-affine motion of every disk")

@@ -51,6 +51,12 @@ class Rebuilt(Result):
     modes: int
     complete: bool | None
     settings: ClassVar[tuple[str, ...]] = ("strain",)
+    units: ClassVar[str] = "medians from the lowest modes over those of the direct solve"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        ratios = {f"{motion} / direct": self.ratios[k, -1] for k, motion in enumerate(MOTIONS)}
+        return {"modes": f"{self.counts[-1]} of {self.modes}", **ratios}
 
     @property
     def ratios(self) -> Array:

@@ -9,7 +9,7 @@ from petscjam.base.progress import Report
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
 from petscjam.response.limits import zero_frequency
-from petscjam.response.origin import Judged, stored
+from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
@@ -31,6 +31,18 @@ class Viscosity(Judged):
     G0: float = field(metadata=stored("stress"))
     residual: float
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
+    units: ClassVar[str] = "viscosity in k tau1, modulus in k"
+    figure: ClassVar[str] = "petscjam.plots.viscosity:viscosity_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        return {
+            "law": str(self.damping),
+            "eta0": self.eta0,
+            "G0": self.G0,
+            "residual": f"{self.residual:.0e}",
+            "state": self.state,
+        }
 
 
 def viscosity(
@@ -70,3 +82,6 @@ def viscosity(
         origin=describe(problem, name, strain, law),
         notes=tuple(problem.notes),
     )
+
+
+VERB = Verb(viscosity, "eta0 and G0, one group a packing and law")

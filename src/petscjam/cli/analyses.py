@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from petscjam.base.errors import InputError
@@ -14,57 +15,17 @@ from petscjam.parallel.comm import on_root
 from petscjam.rows.damping import DampingLaw
 
 
-def nonaffine(options: argparse.Namespace, comm: Any) -> None:
-    """Find the quasi-static response of packing after packing."""
-    from petscjam.analysis.nonaffine import quasistatic_response
-
-    _analyse(options, comm, quasistatic_response, {"strain": options.strain})
-
-
-def modes(options: argparse.Namespace, comm: Any) -> None:
-    """Find the lowest modes, or the slowest relaxations, of packing after packing."""
-    from petscjam.response.modes import lowest_modes
-    from petscjam.response.relaxations import relaxation_modes
-
-    settings = {"count": options.count, "strain": options.strain}
-    if options.relaxation:
-        _analyse(options, comm, relaxation_modes, settings, chosen_laws(options))
-    elif law_options(options):
-        raise InputError(f"modes: {law_options(options)[0]} goes with --relaxation")
+def analyse(options: argparse.Namespace, comm: Any) -> None:
+    """Do the analysis of a verb that is declared with it, of packing after packing."""
+    result, verb = options.declared
+    function = resolve_name(options.analyse) if isinstance(options.analyse, str) else options.analyse
+    settings = {name: getattr(options, name) for name in options.settings}
+    if "damping" in result.settings or (verb.laws and options.analyse != verb.analyse):
+        _analyse(options, comm, function, settings, chosen_laws(options))
+    elif verb.laws and law_options(options):
+        raise InputError(f"{options.verb}: {law_options(options)[0]} goes with {verb.laws}")
     else:
-        _analyse(options, comm, lowest_modes, settings)
-
-
-def density(options: argparse.Namespace, comm: Any) -> None:
-    """Find the density of states of packing after packing."""
-    from petscjam.analysis.density import density_of_states
-
-    settings = {"moments": options.moments, "vectors": options.vectors, "seed": options.seed}
-    _analyse(options, comm, density_of_states, settings)
-
-
-def correlations(options: argparse.Namespace, comm: Any) -> None:
-    """Find the correlations of packing after packing."""
-    from petscjam.analysis.correlations import correlations
-
-    settings = {"omegas": options.omega, "width": options.width, "bin": options.bin}
-    _analyse(options, comm, correlations, settings, chosen_laws(options))
-
-
-def drag(options: argparse.Namespace, comm: Any) -> None:
-    """Find G* of packing after packing under nonlinear drag."""
-    from petscjam.analysis.contact_drag import self_consistent_drag
-    from petscjam.analysis.drag import equivalent_drag
-
-    settings = {"omegas": options.omega, "stress": options.stress, "alpha": options.alpha, "strain": options.strain}
-    _analyse(options, comm, equivalent_drag if options.uniform else self_consistent_drag, settings)
-
-
-def viscosity(options: argparse.Namespace, comm: Any) -> None:
-    """Find η0 of packing after packing."""
-    from petscjam.analysis.viscosity import viscosity
-
-    _analyse(options, comm, viscosity, {"strain": options.strain}, chosen_laws(options))
+        _analyse(options, comm, function, settings)
 
 
 def figure(options: argparse.Namespace, comm: Any) -> None:

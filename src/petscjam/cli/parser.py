@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
+from importlib import import_module
 from typing import Any, NoReturn
 
 from petscjam.base import ranges
@@ -30,8 +32,10 @@ from petscjam.cli.config import settings
 from petscjam.cli.laws import option
 from petscjam.figures import FIGURES
 from petscjam.geometry.potential import POTENTIALS
+from petscjam.io.kinds import KINDS, class_of
 from petscjam.md.model import BULK, INTEGRATORS, MODELS
 from petscjam.preparation.prepare import BUDGET, METHODS
+from petscjam.response.origin import Verb
 from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
 
@@ -49,11 +53,20 @@ class Help(argparse.HelpFormatter):
 class Parser(argparse.ArgumentParser):
     """An argument parser that reads a file of settings, too, and answers a mistake with one line."""
 
+    declare: Callable[[Parser], None] | None = None  # adds options when they are needed, not before
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, "formatter_class": Help, **kwargs})
 
+    def complete(self) -> None:
+        """Add the options that are declared elsewhere."""
+        if self.declare:
+            declare, self.declare = self.declare, None
+            declare(self)
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Put what ``--config FILE`` says in front of the options; the later of two counts."""
+        self.complete()
         if "--config" in self._option_string_actions:
             args = [*settings(args, self._option_string_actions, self._mutually_exclusive_groups), *args]
         return super().parse_known_args(args, namespace)
@@ -218,7 +231,8 @@ def build_parser() -> Parser:
         "or a list A,B,… (default 1e-8:1e2:61)",
     )
     damping(p)
-    strain_and_prestress(p)
+    strain(p)
+    prestress(p)
     p.add_argument(
         "--fields",
         type=Within(frequencies, ranges.OMEGA),
@@ -247,95 +261,9 @@ def build_parser() -> Parser:
     )
     output(p, "OUT.h5", "results, one group a packing")
 
-    text = "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain"
-    p = add(known, "nonaffine", analyses.nonaffine, text, RANKS)
-    packings(p)
-    strain_and_prestress(p)
-    team_size(p)
-    output(p, "OUT.h5", "relative displacements of every contact and non-affine motion of every disk")
-
-    p = add(known, "modes", analyses.modes, "lowest modes of the stiffness, or slowest relaxations", RANKS)
-    packings(p)
-    p.add_argument("--count", type=Within(integer, ranges.MODES), default=50, metavar="M", help="how many (default 50)")
-    text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
-    p.add_argument("--relaxation", action="store_true", help=text)
-    damping(p)
-    strain_and_prestress(p)
-    team_size(p)
-    output(p, "OUT.h5", "eigenvalues in k (or times in tau1), vectors, residuals")
-
-    p = add(known, "density", analyses.density, "density of states D(omega) of all modes, unit masses", RANKS)
-    packings(p)
-    text = "Chebyshev moments: the resolution in omega is about 4/M of (k/m)^1/2 (default 1024)"
-    p.add_argument("--moments", type=Within(integer, ranges.MOMENTS), default=1024, metavar="M", help=text)
-    p.add_argument(
-        "--vectors", type=Within(integer, ranges.VECTORS), default=16, metavar="V", help="random vectors (default 16)"
-    )
-    p.add_argument("--seed", type=Within(integer, ranges.SEED), default=1, help="of the random vectors (default 1)")
-    prestress(p)
-    team_size(p)
-    output(p, "OUT.h5", "D(omega) with its error and resolution")
-
-    text = "how far non-affine displacements are correlated along the shear, at any frequency"
-    p = add(known, "correlations", analyses.correlations, text, RANKS)
-    packings(p)
-    text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default {})"
-    p.add_argument(
-        "--omega",
-        type=Within(frequencies, ranges.OMEGA),
-        default="1e-8:1e0:9",
-        metavar="RANGE",
-        help=text.format("1e-8:1e0:9"),
-    )
-    damping(p)
-    prestress(p)
-    p.add_argument(
-        "--width",
-        type=number,
-        metavar="X",
-        help="height of a lane, in the length unit of the packing (default: a mean diameter)",
-    )
-    p.add_argument(
-        "--bin", type=number, metavar="X", help="step of the distance along x (default: half a mean diameter)"
-    )
-    team_size(p)
-    output(p, "OUT.h5", "C(distance) at peak and at zero stress")
-
-    what = "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping"
-    p = add(known, "drag", analyses.drag, what, RANKS)
-    packings(p)
-    p.add_argument(
-        "--omega",
-        type=Within(frequencies, ranges.OMEGA),
-        default="1e-6:1e1:29",
-        metavar="RANGE",
-        help=text.format("1e-6:1e1:29"),
-    )
-    p.add_argument(
-        "--stress", type=Within(number, ranges.STRESS), required=True, metavar="X", help="amplitude of the stress, in k"
-    )
-    p.add_argument(
-        "--alpha",
-        type=Within(number, ranges.ALPHA),
-        default=2 / 3,
-        metavar="X",
-        help="exponent of the force law, above 0; 1 is linear (default 2/3)",
-    )
-    p.add_argument(
-        "--uniform",
-        action="store_true",
-        help="one time for the whole packing, as in the paper, not each contact its own",
-    )
-    strain_and_prestress(p)
-    team_size(p)
-    output(p, "OUT.h5", "G*, effective times, convergence")
-
-    p = add(known, "viscosity", analyses.viscosity, "viscosity eta0 and modulus G0 at omega -> 0", RANKS)
-    packings(p)
-    damping(p)
-    strain_and_prestress(p)
-    team_size(p)
-    output(p, "OUT.h5", "eta0 and G0, one group a packing and law")
+    for kind, (_, text) in KINDS.items():
+        if text:
+            add(known, kind, analyses.analyse, text, RANKS).declare = partial(declare, kind=kind)
 
     text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
@@ -414,6 +342,25 @@ def build_parser() -> Parser:
         p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)", required=False, resume=False
     )
     return parser
+
+
+def declare(p: Parser, kind: str) -> None:
+    """Add the options of the verb that makes a kind of results."""
+    result = class_of(kind)
+    verb: Verb = import_module(result.__module__).VERB
+    packings(p)
+    before = len(p._actions)
+    verb.options(p)
+    settings = [action.dest for action in p._actions[before:] if action.dest != "analyse"]
+    if "damping" in result.settings or verb.laws:
+        damping(p)
+    if "strain" in result.settings:
+        strain(p)
+        settings.append("strain")
+    prestress(p)
+    team_size(p)
+    output(p, "OUT.h5", verb.output)
+    p.set_defaults(analyse=verb.analyse, settings=settings, declared=(result, verb))
 
 
 def reading(p: Parser) -> None:
@@ -548,12 +495,11 @@ def damping(p: Parser) -> None:
                 )
 
 
-def strain_and_prestress(p: Parser) -> None:
-    """Add the mode of deformation, and pre-stress."""
+def strain(p: Parser) -> None:
+    """Add the mode of deformation."""
     p.add_argument(
         "--strain", choices=STRAINS, default="simple-shear", help="mode of deformation (default simple-shear)"
     )
-    prestress(p)
 
 
 def prestress(p: Parser) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import resource
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import ExitStack, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from petscjam.base.errors import InputError, SolverError
@@ -112,25 +114,17 @@ def info(options: argparse.Namespace, comm: Any) -> None:
     """Print what a file or a folder holds."""
 
     def text() -> str:
-        from petscjam.io.importers import import_packing
-        from petscjam.io.results import is_result, read_results
-        from petscjam.md.result import is_run, read, read_folder
-        from petscjam.plots.tables import describe_library, describe_packing, describe_run, describe_runs, table
-        from petscjam.preparation.library import read_library
+        from petscjam.io.kinds import recognise
+        from petscjam.plots.files import CONTENTS
 
-        file, kind = options.file, ""
-        if file.is_dir():
-            kind, runs = "a folder", read_folder(file)
-            said = describe_runs(runs) if runs else describe_library(read_library(file))
-        elif is_run(file):
-            kind, said = "a sheared run", describe_run(read(file))
-        elif is_result(file):
-            kind, said = "a result", table(read_results(file))
-        else:
-            packing = import_packing(file, options.index, options.potential, options.diameters)
-            said = f"{'file':18s} {file}\n{describe_packing(packing)}"
-        if kind and (options.index or options.potential or options.diameters):
-            raise InputError(f"info: {file} is {kind}; --index, --potential and --diameters go with packings")
+        file, reading = options.file, (options.index, options.potential, options.diameters)
+        kind = recognise(file)
+        contents = CONTENTS[kind]
+        if kind == "packing":
+            return f"{'file':18s} {file}\n{contents.describe(contents.read(file, *reading))}"
+        said = contents.describe(contents.read(file))
+        if any(reading):
+            raise InputError(f"info: {file} is {contents.name}; --index, --potential and --diameters go with packings")
         return said
 
     with naming(options.file):
@@ -200,107 +194,110 @@ def _judged(packing: Any, file: Path) -> Any:
 
 
 def export(options: argparse.Namespace, comm: Any) -> None:
-    """Export a packing, or a result for rheologists."""
+    """Export a packing, a sheared run, or a result for rheologists."""
+    writers = {"packing": _export_packing, "run": _export_run, "results": _export_results}
 
     def work() -> None:
-        from petscjam.analysis.statistics import average
-        from petscjam.base.files import check_output
-        from petscjam.io.exporters import FORMATS as PICTURES
-        from petscjam.io.exporters import export_packing, format_of
-        from petscjam.io.importers import import_packing
-        from petscjam.io.results import is_result
-        from petscjam.io.rheology import FORMATS as CURVES
-        from petscjam.io.rheology import export_average, export_rheology
-        from petscjam.md.result import is_run
+        from petscjam.io.kinds import recognise
 
-        if is_run(options.file):
-            print(_export_run(options))
-            return
-        if options.strain is not None:
+        kind = recognise(options.file)
+        if kind not in writers:
+            raise InputError(f"{options.file}: is a folder, not a file")
+        if kind != "run" and options.strain is not None:
             raise InputError("export: --strain goes with a sheared run")
-        curve = is_result(options.file)
-        known, kind = (CURVES, "result") if curve else (PICTURES, "packing")
-        default = "csv" if curve else "xyz"
-        fmt = format_of(options.output or "", options.to, default)
-        if fmt not in known:
-            raise InputError(f"export: {options.file} is a {kind}; its formats are {', '.join(known)}, not {fmt}")
-        target = options.output or options.file.with_suffix(f".{fmt}")
-        check_output(target, overwrite=options.overwrite, inputs=[options.file])
-        if curve and options.average:
-            if fmt != "csv":
-                raise InputError(f"export: --average is written as csv, not as {fmt}")
-            if options.time is not None:
-                raise InputError("export: --time goes with --to gt, not with --average")
-            mean = average(_matching(options), options.omega)
-            export_average(mean, target, overwrite=options.overwrite)
-        elif curve:
-            with naming(options.file):
-                result = _one_result(options)
-                export_rheology(
-                    result, target, fmt, omegas=options.omega, times=options.time, overwrite=options.overwrite
-                )
-            if not result.stable:
-                print(f"petscjam: warning: {target}: {result.state}", file=sys.stderr, flush=True)
-        elif options.group or options.average or options.omega is not None or options.time is not None:
+        others = options.group or options.average or options.omega is not None or options.time is not None
+        if kind != "results" and others:
             raise InputError("export: --group, --average, --omega and --time go with results")
-        else:
-            export_packing(import_packing(options.file), target, fmt, overwrite=options.overwrite)
-        print(target)
+        print(writers[kind](options))
 
     on_root(comm, work)
 
 
-def _export_run(options: argparse.Namespace) -> Path:
+def _target(options: argparse.Namespace, default: str, known: Collection[str] = (), name: str = "") -> tuple[str, Path]:
+    """Return the format, one of those ``known`` here, and the file to write."""
     from petscjam.base.files import check_output
     from petscjam.io.exporters import format_of
+
+    fmt = format_of(options.output or "", options.to, default)
+    if known and fmt not in known:
+        raise InputError(f"export: {options.file} is a {name}; its formats are {', '.join(known)}, not {fmt}")
+    target: Path = options.output or options.file.with_suffix(f".{fmt}")
+    if fmt != "lammps":  # a folder
+        check_output(target, overwrite=options.overwrite, inputs=[options.file])
+    return fmt, target
+
+
+def _export_packing(options: argparse.Namespace) -> Path:
+    from petscjam.io.exporters import FORMATS, export_packing
+    from petscjam.io.importers import import_packing
+
+    fmt, target = _target(options, "xyz", FORMATS, "packing")
+    export_packing(import_packing(options.file), target, fmt, overwrite=options.overwrite)
+    return target
+
+
+def _export_results(options: argparse.Namespace) -> Path:
+    from petscjam.analysis.statistics import average
+    from petscjam.io.results import read_results
+    from petscjam.io.rheology import export_average
+
+    results = read_results(options.file)
+    first = next(iter(results.values()), None)
+    if first is None or not first.exports:
+        what = "no results yet" if first is None else f"{type(first).__name__}, of which there is no export"
+        raise InputError(f"{options.file}: holds {what}")
+    fmt, target = _target(options, "csv")
+    if options.average:
+        if fmt != "csv":
+            raise InputError(f"export: --average is written as csv, not as {fmt}")
+        if options.time is not None:
+            raise InputError("export: --time goes with --to gt, not with --average")
+        export_average(average(_matching(options, results), options.omega), target, overwrite=options.overwrite)
+        return target
+    with naming(options.file):
+        result = _one_of(options, results)
+        write = resolve_name(first.exports)
+        write(result, target, fmt, omegas=options.omega, times=options.time, overwrite=options.overwrite)
+    if not result.stable:
+        print(f"petscjam: warning: {target}: {result.state}", file=sys.stderr, flush=True)
+    return target
+
+
+def _export_run(options: argparse.Namespace) -> Path:
     from petscjam.io.lammps_shear import write_lammps
     from petscjam.md.model import model_of
     from petscjam.md.result import export_csv, read
 
-    fmt = format_of(options.output or "", options.to, "csv")
-    target: Path = options.output or options.file.with_suffix(f".{fmt}")
-    run = read(options.file)
-    if options.group or options.average or options.omega is not None or options.time is not None:
-        raise InputError("export: --group, --average, --omega and --time go with results")
+    fmt, target = _target(options, "csv", ("csv", "lammps"), "sheared run")
     if options.strain is not None and fmt != "lammps":
         raise InputError("export: --strain goes with --to lammps")
-    if fmt != "lammps":
-        check_output(target, overwrite=options.overwrite, inputs=[options.file])
+    run = read(options.file)
     if fmt == "csv":
         export_csv(run, target, overwrite=options.overwrite)
-    elif fmt == "lammps":
-        model, dt = model_of(run.settings), run.settings["dt"]
-        divided = run.rows["parts"].max() > 1
-        write_lammps(
-            run.state,
-            model,
-            target,
-            rate=run.state.rate,
-            strain=1.0 if options.strain is None else options.strain,
-            dt=None if divided or dt > model.step(None, "heun") else dt,
-            overwrite=options.overwrite,
-        )
-    else:
-        raise InputError(f"export: {options.file} is a sheared run; its formats are csv, lammps, not {fmt}")
+        return target
+    model, dt = model_of(run.settings), run.settings["dt"]
+    divided = run.rows["parts"].max() > 1
+    write_lammps(
+        run.state,
+        model,
+        target,
+        rate=run.state.rate,
+        strain=1.0 if options.strain is None else options.strain,
+        dt=None if divided or dt > model.step(None, "heun") else dt,
+        overwrite=options.overwrite,
+    )
     return target
 
 
-def _matching(options: argparse.Namespace) -> dict[str, Any]:
-    from fnmatch import fnmatchcase
-
-    from petscjam.io.results import read_moduli
-
+def _matching(options: argparse.Namespace, results: dict[str, Any]) -> dict[str, Any]:
     pattern = options.group or "*"
-    found = {name: g for name, g in read_moduli(options.file).items() if fnmatchcase(name, pattern)}
+    found = {name: g for name, g in results.items() if fnmatchcase(name, pattern)}
     if not found:
         raise InputError(f"--group: no result in {options.file} is called {pattern}")
     return found
 
 
-def _one_result(options: argparse.Namespace) -> Any:
-    from petscjam.io.results import read_moduli
-
-    results = read_moduli(options.file)
+def _one_of(options: argparse.Namespace, results: dict[str, Any]) -> Any:
     if options.group is None and len(results) == 1:
         return next(iter(results.values()))
     if options.group not in results:
@@ -311,9 +308,9 @@ def _one_result(options: argparse.Namespace) -> Any:
 
 def packings_of(given: Path) -> list[Path]:
     """Return the file itself, or the packings of a folder; results that lie among them are not meant."""
-    from petscjam.io.results import is_result
+    from petscjam.io.kinds import recognise
 
-    return [file for file in sorted(given.glob("*.h5")) if not is_result(file)] if given.is_dir() else [given]
+    return [file for file in sorted(given.glob("*.h5")) if recognise(file) != "results"] if given.is_dir() else [given]
 
 
 def all_packings(options: argparse.Namespace) -> list[Path]:
@@ -454,34 +451,21 @@ def plot(options: argparse.Namespace, comm: Any) -> None:
 
     def work() -> None:
         from petscjam.base.files import check_output
-        from petscjam.io.importers import import_packing
-        from petscjam.io.results import is_result, read_results
-        from petscjam.md.result import is_run, read, read_folder
-        from petscjam.plots import plot_library, plot_packing, plot_results
-        from petscjam.plots.shear import plot_flow, plot_maps, plot_ramp, plot_run
-        from petscjam.preparation.library import read_library
+        from petscjam.io.kinds import recognise
+        from petscjam.plots.files import CONTENTS
+        from petscjam.plots.shear import plot_maps
 
         given: Path = options.file
-        folder = given.is_dir()
-        target = options.output or (Path(f"{given.absolute()}.png") if folder else given.with_suffix(".png"))
+        target = options.output or (Path(f"{given.absolute()}.png") if given.is_dir() else given.with_suffix(".png"))
         check_output(target, overwrite=options.overwrite, inputs=[given])
-        runs = read_folder(given) if folder else {}
-        if options.maps and not (given.is_file() and is_run(given)):
+        kind = recognise(given)
+        if options.maps and kind != "run":
             raise InputError(f"plot: --maps goes with a sheared run, and {given} is none")
-        if runs:
-            plot_flow(runs, target)
-        elif folder:
-            plot_library(read_library(given).rows, target)
-        elif is_run(given):
-            run = read(given)
-            if options.maps:
-                plot_maps(run.state, target)
-            else:
-                (plot_ramp if run.settings["protocol"] == "ramp" else plot_run)(run, target)
-        elif is_result(given):
-            plot_results(read_results(given), target)
+        found = CONTENTS[kind].read(given)
+        if options.maps:
+            plot_maps(found.state, target)
         else:
-            plot_packing(import_packing(given), target)
+            CONTENTS[kind].draw(found, target)
         print(target)
 
     on_root(comm, work)

@@ -11,39 +11,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from petscjam.analysis.correlations import Correlations
-from petscjam.analysis.density import DensityOfStates
-from petscjam.analysis.drag import NonlinearModulus
-from petscjam.analysis.nonaffine import QuasistaticResponse
-from petscjam.analysis.rebuilt import Rebuilt
-from petscjam.analysis.viscosity import Viscosity
 from petscjam.base.errors import InputError, shown
-from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, h5_format, open_h5
+from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, open_h5
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
-from petscjam.response.modes import Modes
+from petscjam.io.kinds import KINDS, PREFIX, SPECTRUM, class_of, kind_of
 from petscjam.response.origin import Judged, Origin, Result
-from petscjam.response.relaxations import RelaxationModes
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import LAWS, DampingLaw
 from petscjam.rows.kinematics import strain_mode
 
-FORMAT, FORMAT_MODEL, SCHEMA = "petscjam moduli", "petscjam spectrum", 2
-KINDS: dict[str, type[Result]] = {
-    FORMAT: ComplexModulus,
-    "petscjam nonaffine": QuasistaticResponse,
-    "petscjam viscosity": Viscosity,
-    "petscjam modes": Modes,
-    "petscjam relaxations": RelaxationModes,
-    "petscjam rebuilt": Rebuilt,
-    "petscjam density": DensityOfStates,
-    "petscjam correlations": Correlations,
-    "petscjam drag": NonlinearModulus,
-}
+SCHEMA = 2
 SETTINGS = ("strain", "damping", "prestress")
 ORIGIN = tuple(item.name for item in fields(Origin) if item.name not in (*SETTINGS, "versions"))  # group `packing`
+
+
+def _formats() -> list[str]:
+    return [PREFIX + kind for kind in KINDS]
 
 
 def group_name(packing: Packing, name: str) -> str:
@@ -54,7 +40,7 @@ def group_name(packing: Packing, name: str) -> str:
 def append_result(
     result: Any, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = "", made_with: str = ""
 ) -> None:
-    """Add ``result``, one of ``KINDS``, to ``file`` as ``group``; the file is whole at every moment.
+    """Add ``result``, of one of the ``KINDS``, to ``file`` as ``group``; the file is whole at every moment.
 
     With ``fresh`` it replaces whatever the file held. ``run`` tells who wrote last, ``made_with`` how
     the result was made.
@@ -64,7 +50,7 @@ def append_result(
     InputError
         If the file cannot be read or written, or holds results of another kind.
     """
-    kind = next(name for name, known in KINDS.items() if type(result) is known)
+    kind = PREFIX + kind_of(type(result))
     with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
         there = h5.attrs.get("format", kind)
         if there != kind:
@@ -84,13 +70,8 @@ def run_of(file: str | PathLike[str]) -> str | None:
     return None
 
 
-def is_result(file: str | PathLike[str]) -> bool:
-    """Tell whether ``file`` holds results rather than a packing."""
-    return h5_format(file) in (*KINDS, FORMAT_MODEL)
-
-
 def read_results(file: str | PathLike[str]) -> dict[str, Any]:
-    """Return every result of ``file`` by the name of its group: all of one of ``KINDS``.
+    """Return every result of ``file`` by the name of its group: all of one of the ``KINDS``.
 
     Raises
     ------
@@ -99,12 +80,13 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
     """
     with open_h5(file) as h5:
         kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
-        if kind == FORMAT_MODEL and schema == SCHEMA:
+        if kind == SPECTRUM and schema == SCHEMA:
             model = _read_model(h5)
             return {model.origin.name: ComplexModulus.sampled(model, per_decade(10, *model.span))}
-        if kind not in KINDS or schema != SCHEMA:
+        if kind not in _formats() or schema != SCHEMA:
             raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
-        return {name: KINDS[kind](**_values(node, KINDS[kind])) for name, node in h5.items()}
+        made = class_of(kind.removeprefix(PREFIX))
+        return {name: made(**_values(node, made)) for name, node in h5.items()}
 
 
 class Item(NamedTuple):
@@ -126,7 +108,7 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
         If the file is missing, damaged, or holds no results.
     """
     with open_h5(file) as h5:
-        if h5.attrs.get("format") not in KINDS or h5.attrs.get("schema") != SCHEMA:
+        if h5.attrs.get("format") not in _formats() or h5.attrs.get("schema") != SCHEMA:
             raise InputError(f"holds {shown(h5.attrs.get('format'))}, not results")
         items = []
         for name, node in h5.items():
@@ -217,7 +199,7 @@ def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: boo
     """
     check_output(file, overwrite=overwrite)
     with atomic_h5(file) as h5:
-        h5.attrs.update(format=FORMAT_MODEL, schema=SCHEMA)
+        h5.attrs.update(format=SPECTRUM, schema=SCHEMA)
         _write_fields(h5, model)
 
 
@@ -230,7 +212,7 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
         If the file is missing, damaged, or holds no reduced model, or several.
     """
     with open_h5(file) as h5:
-        if (h5.attrs.get("format"), h5.attrs.get("schema")) == (FORMAT_MODEL, SCHEMA):
+        if (h5.attrs.get("format"), h5.attrs.get("schema")) == (SPECTRUM, SCHEMA):
             return _read_model(h5)
     model = read_modulus(file).model
     if model is None:

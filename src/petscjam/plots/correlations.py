@@ -6,29 +6,26 @@ Axes: w frequency.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.analysis.correlations import Correlations, correlation_length
 from petscjam.analysis.statistics import Kind, alike
-from petscjam.plots.figure import given, save, solids
+from petscjam.plots.figure import given, solids
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CURVES = 7  # at most, in a panel
 
 
-def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[str]) -> None:
+def correlations_figure(results: Mapping[str, Correlations]) -> Figure:
     """Draw C against δ/L, solid at peak stress and dashed at zero stress, and the correlation length l(ω).
 
     Packings of one size and pressure under one law are averaged, those that are not stable left out, unless
     none is. C has a panel for each law, and shows the first such mean; l is shown for all of them, filled
     with pre-stress.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -43,7 +40,7 @@ def plot_correlations(results: Mapping[str, Correlations], path: str | PathLike[
         axes.set_title(f"{kind.law}, {given(kind.prestress)}\n{what}", fontsize=9)
     _draw_lengths(panels[-1], kinds)
     figure.suptitle(title, fontsize=10)
-    save(figure, path, results)
+    return figure
 
 
 def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:

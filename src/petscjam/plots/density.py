@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from petscjam.analysis.density import DensityOfStates, plateau
 from petscjam.analysis.statistics import nominal
-from petscjam.plots.figure import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[str]) -> None:
-    """Draw every D(ω) ± its standard error; ω* is marked, and what the kernel cannot resolve is shaded.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def density_figure(results: Mapping[str, DensityOfStates]) -> Figure:
+    """Draw every D(ω) ± its standard error; ω* is marked, and what the kernel cannot resolve is shaded."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -57,4 +53,4 @@ def plot_density(results: Mapping[str, DensityOfStates], path: str | PathLike[st
         ylabel=r"$D(\omega)$",
     )
     axes.legend(loc="lower right", bbox_to_anchor=(0.88, 0), frameon=False, fontsize=8)
-    save(figure, path, results)
+    return figure

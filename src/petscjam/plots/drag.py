@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.analysis.drag import NonlinearModulus
-from petscjam.plots.figure import UNSTABLE, save
+from petscjam.plots.figure import UNSTABLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STYLE = {"uniform": "--", "per contact": "-"}
 CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
@@ -18,14 +20,8 @@ CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
 }  # of G* against ω in the critical regime: docs/howto/drag.md
 
 
-def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]) -> None:
-    """Draw G′, G″ and τ of every result: colours tell stress and exponent, dashes the form.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def drag_figure(results: Mapping[str, NonlinearModulus]) -> Figure:
+    """Draw G′, G″ and τ of every result: colours tell stress and exponent, dashes the form."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -53,7 +49,7 @@ def plot_drag(results: Mapping[str, NonlinearModulus], path: str | PathLike[str]
         f"{'with' if first.prestress else 'without'} pre-stress",
         fontsize=10,
     )
-    save(figure, path, results)
+    return figure
 
 
 def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:

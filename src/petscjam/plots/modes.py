@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petscjam.plots.figure import STORAGE, UNSTABLE, save
+from petscjam.plots.figure import STORAGE, UNSTABLE
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DRAWN = 4
 NAMED = 6  # packings, beyond which a legend says nothing
 
 
-def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
-    """Draw the lowest four modes of the first packing, and beside them the spectra of all packings.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def modes_figure(results: Mapping[str, Modes]) -> Figure:
+    """Draw the lowest four modes of the first packing, and beside them the spectra of all packings."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.6, 8.0), layout="constrained")
@@ -41,17 +37,11 @@ def plot_modes(results: Mapping[str, Modes], path: str | PathLike[str]) -> None:
     left.suptitle(f"{name}: {title}" if len(results) > 1 else title, fontsize=10)
     panels = right.subplots(3, 1)
     _draw_spectra(panels, results)
-    save(figure, path, results)
+    return figure
 
 
-def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLike[str]) -> None:
-    """Draw the four slowest relaxations of the first packing, and the weights of all against their times.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def relaxations_figure(results: Mapping[str, RelaxationModes]) -> Figure:
+    """Draw the four slowest relaxations of the first packing, and the weights of all against their times."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.6, 7.0), layout="constrained")
@@ -66,7 +56,7 @@ def plot_relaxations(results: Mapping[str, RelaxationModes], path: str | PathLik
         axes.loglog(r.times, r.weights, "o", ms=3, label=name if len(results) <= NAMED else None)
     axes.set(xlabel=r"relaxation time $\tau/\tau_1$", ylabel="weight (units of $k$)")
     axes.legend(frameon=False, fontsize=7)
-    save(figure, path, results)
+    return figure
 
 
 def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:

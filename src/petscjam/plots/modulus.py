@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.analysis.statistics import alike, average
 from petscjam.base.errors import SolverError
-from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, save
+from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]) -> None:
-    """Draw every result of a file; the displacement fields of the first that has them lie below.
 
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
+    """Draw every result of a file; the displacement fields of the first that has them lie below."""
     from matplotlib.figure import Figure
 
     pictured = next((g for g in results.values() if len(g.field_omega)), None)
@@ -45,7 +41,7 @@ def plot_moduli(results: Mapping[str, ComplexModulus], path: str | PathLike[str]
         _draw_time(panels["time"], model)
     else:
         _draw_moduli(halves[0].subplots(), results)
-    save(figure, path, results)
+    return figure
 
 
 def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:

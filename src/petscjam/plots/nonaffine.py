@@ -6,14 +6,16 @@ Axes: i disk of the backbone, c contact, m pressure.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.statistics import by_pressure, means
-from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, save, solids
+from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, solids
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LABELS = {
     "parallel": r"$|\Delta u^\parallel|/\gamma$",
@@ -23,16 +25,11 @@ LABELS = {
 STYLES = dict(zip(MOTIONS, ((STORAGE, "s"), (LOSS, "o"), ("#2e6b34", "^")), strict=True))
 
 
-def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathLike[str]) -> None:
+def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
     """Draw the distributions, medians and means against pressure, and the motion of the first packing.
 
     Distributions pool the packings of one pressure. Filled symbols and solid lines are with pre-stress, open
     ones and dashed lines without. Packings that are not stable are left out, unless none is.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -45,7 +42,7 @@ def plot_nonaffine(results: Mapping[str, QuasistaticResponse], path: str | PathL
     _draw_scaling(panels["scaling"], list(kept.values()))
     draw_field(panels["field"], next(iter(results.values())))
     figure.suptitle(f"Quasi-static response, {next(iter(results.values())).strain}: {title}", fontsize=11)
-    save(figure, path, results)
+    return figure
 
 
 def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:

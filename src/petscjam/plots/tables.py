@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from petscjam.analysis.correlations import Correlations
-from petscjam.analysis.density import DensityOfStates, plateau
-from petscjam.analysis.drag import NonlinearModulus
-from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.analysis.rebuilt import Rebuilt
 from petscjam.analysis.statistics import alike, nominal, standard_error
-from petscjam.analysis.viscosity import Viscosity
 from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.md.result import Run
 from petscjam.preparation.library import Library
-from petscjam.response.modes import Modes
-from petscjam.response.relaxations import RelaxationModes
+from petscjam.response.origin import Result
 from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import DampingLaw
 
@@ -187,25 +180,21 @@ def _mean(values: list[float]) -> str:
     return f"{np.mean(values):.6f} ± {standard_error(values):.6f}"
 
 
-def table(results: Mapping[str, Any]) -> str:
-    """Return ``results`` of one kind as a table."""
+def table(results: Mapping[str, Result]) -> str:
+    """Return ``results`` of one kind as a table: a line for each, with its notes below."""
     if not results:
         return "no results yet"
-    kind = type(next(iter(results.values())))
-    return moduli_table(results) if kind is ComplexModulus else _rows(results, *COLUMNS[kind])
-
-
-def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mapping[str, float | str]]) -> str:
-    """Return a line for each result, with its notes below."""
-    strain = next(iter(results.values())).origin.strain
-    header = units + f"; {strain}" * (strain is not None)
+    first = next(iter(results.values()))
+    if isinstance(first, ComplexModulus):
+        return moduli_table(results)
+    header = first.units + f"; {first.origin.strain}" * (first.origin.strain is not None)
     width = max(len(name) for name in results)
     rows = {
         name: {
             "N": f"{r.origin.particles}",
             "p": f"{r.origin.pressure:.3e}",
             "pre-stress": "with" if r.prestress else "without",
-            **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in columns(r).items()},
+            **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in r.row().items()},
         }
         for name, r in results.items()
     }
@@ -217,106 +206,7 @@ def _rows(results: Mapping[str, Any], units: str, columns: Callable[[Any], Mappi
     return "\n".join(lines)
 
 
-def _nonaffine(r: QuasistaticResponse) -> dict[str, float | str]:
-    medians = {f"median {motion}": float(np.median(r.sizes(motion))) for motion in MOTIONS}
-    means = {f"mean {motion}": float(r.sizes(motion).mean()) for motion in MOTIONS}
-    return {
-        "G0": r.shear_modulus,
-        "stretching": r.stretching,
-        "pre-stress term": r.pre_stress,
-        **medians,
-        **means,
-        "residual": f"{r.residual:.0e}",
-        "state": r.state,
-    }
-
-
-def _viscosity(r: Viscosity) -> dict[str, float | str]:
-    return {"law": str(r.damping), "eta0": r.eta0, "G0": r.G0, "residual": f"{r.residual:.0e}", "state": r.state}
-
-
-PROVED = {True: "proved", None: "not known"}
-
-
-def _modes(r: Modes) -> dict[str, float | str]:
-    return {
-        "modes": f"{len(r.eigenvalues)}",
-        "lowest": r.eigenvalues[0],
-        "highest": r.eigenvalues[-1],
-        "median floppiness": float(np.median(r.floppiness)),
-        "median participation": float(np.median(r.participation)),
-        "G_affine": r.G_affine,
-        "softening": float(r.softening.sum()),
-        "residual": f"{r.residuals.max():.0e}",
-        "complete": PROVED.get(r.complete, "not known"),
-    }
-
-
-def _rebuilt(r: Rebuilt) -> dict[str, float | str]:
-    ratios = {f"{motion} / direct": r.ratios[k, -1] for k, motion in enumerate(MOTIONS)}
-    return {"modes": f"{r.counts[-1]} of {r.modes}", **ratios}
-
-
-def _relaxations(r: RelaxationModes) -> dict[str, float | str]:
-    return {
-        "law": str(r.damping),
-        "modes": f"{len(r.times)}",
-        "slowest": r.times[0],
-        "fastest": r.times[-1],
-        "weights": float(r.weights.sum()),
-        "residual": f"{r.residuals.max():.0e}",
-        "complete": PROVED.get(r.complete, "not known"),
-    }
-
-
-def _density(r: DensityOfStates) -> dict[str, float | str]:
-    found = plateau(r)
-    return {
-        "moments": f"{r.moments.shape[1]}",
-        "vectors": f"{r.moments.shape[0]}",
-        "highest": r.edge,
-        "plateau": found.height,
-        "±": found.height_error,
-        "onset": found.onset,
-    }
-
-
-def _correlations(r: Correlations) -> dict[str, float | str]:
-    low, high = (f"{r.length[k] / r.L:.4g}" for k in (np.argmin(r.omega), np.argmax(r.omega)))
-    return {
-        "law": str(r.damping),
-        "lane": r.width,
-        "l/L at low omega": low,
-        "at high": high,
-        "error": f"{r.errors.max():.0e}",
-        "state": r.state,
-    }
-
-
-def _drag(r: NonlinearModulus) -> dict[str, float | str]:
-    return {
-        "form": r.form,
-        "alpha": r.alpha,
-        "stress": r.stress,
-        "most iterations": f"{r.iterations.max()}",
-        "converged": f"{r.converged.sum()} of {len(r.omega)}",
-        "change": f"{r.changes.max():.0e}",
-    }
-
-
-COLUMNS: dict[type, tuple[str, Callable[[Any], Mapping[str, float | str]]]] = {
-    QuasistaticResponse: ("moduli in k, motions in d per unit strain", _nonaffine),
-    Viscosity: ("viscosity in k tau1, modulus in k", _viscosity),
-    Modes: ("eigenvalues and moduli in k", _modes),
-    Rebuilt: ("medians from the lowest modes over those of the direct solve", _rebuilt),
-    RelaxationModes: ("times in tau1, weights in k", _relaxations),
-    DensityOfStates: ("frequencies in (k/m)^½, densities in their inverse", _density),
-    Correlations: ("lengths in d", _correlations),
-    NonlinearModulus: ("stress in k", _drag),
-}
-
-
-def moduli_table(results: Mapping[str, ComplexModulus]) -> str:
+def moduli_table(results: Mapping[str, Any]) -> str:
     """Return a table of ``results`` for each law: limits, worst error, and whether the packing is stable."""
     blocks: dict[tuple[str, DampingLaw, bool, bool], dict[str, ComplexModulus]] = {}
     for name, g in results.items():

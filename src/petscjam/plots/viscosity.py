@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike
+from typing import TYPE_CHECKING
 
 from petscjam.analysis.statistics import alike, means
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.plots.figure import given, save, solids
+from petscjam.plots.figure import given, solids
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) -> None:
-    """Draw the mean of η0 over stable packings (over all where none is), with its standard error.
-
-    Raises
-    ------
-    InputError
-        If the figure cannot be written.
-    """
+def viscosity_figure(results: Mapping[str, Viscosity]) -> Figure:
+    """Draw the mean of η0 over stable packings (over all where none is), with its standard error."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
@@ -40,4 +37,4 @@ def plot_viscosity(results: Mapping[str, Viscosity], path: str | PathLike[str]) 
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
     axes.set_title(title, fontsize=10)
     axes.legend(frameon=False, fontsize=8)
-    save(figure, path, results)
+    return figure

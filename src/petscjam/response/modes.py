@@ -6,6 +6,7 @@ Axes: m mode, i disk of the backbone, c contact of the backbone, x Cartesian.
 from __future__ import annotations
 
 import time
+from argparse import ArgumentParser
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
+from petscjam.base.arguments import Within, integer
 from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MODES
@@ -27,13 +29,14 @@ from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.preparation.certify import EPS, below_all, hessian, pivots_below
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.origin import Result, stored
+from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
+PROVED = {True: "proved", None: "not known"}
 TIE = 1e-6  # relative difference up to which components are equally large
 ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
 
@@ -91,6 +94,22 @@ class Modes(Result):
     geometry: Packing
     performance: dict[str, Any] = field(default_factory=dict)
     settings: ClassVar[tuple[str, ...]] = ("strain",)
+    units: ClassVar[str] = "eigenvalues and moduli in k"
+    figure: ClassVar[str] = "petscjam.plots.modes:modes_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        return {
+            "modes": f"{len(self.eigenvalues)}",
+            "lowest": self.eigenvalues[0],
+            "highest": self.eigenvalues[-1],
+            "median floppiness": float(np.median(self.floppiness)),
+            "median participation": float(np.median(self.participation)),
+            "G_affine": self.G_affine,
+            "softening": float(self.softening.sum()),
+            "residual": f"{self.residuals.max():.0e}",
+            "complete": PROVED.get(self.complete, "not known"),
+        }
 
     @property
     def frequencies(self) -> Array:
@@ -294,3 +313,13 @@ def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> 
         local[:, m] = pencil.dofs.scatter(field, comm.rank)
     performance = {"eigensolves": 1, "eigensolve_seconds": time.perf_counter() - start, "count_seconds": 0.0}
     return Search(Pairs(values, local, residuals), True, [], performance)
+
+
+def _options(parser: ArgumentParser) -> None:
+    count, other = Within(integer, MODES), "petscjam.response.relaxations:relaxation_modes"
+    parser.add_argument("--count", type=count, default=50, metavar="M", help="how many (default 50)")
+    text = "slowest relaxations under a damping law, instead of the modes of lowest frequency"
+    parser.add_argument("--relaxation", dest="analyse", action="store_const", const=other, help=text)
+
+
+VERB = Verb(lowest_modes, "eigenvalues in k (or times in tau1), vectors, residuals", _options, laws="--relaxation")

@@ -5,6 +5,8 @@ Axes: w frequency.
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -96,11 +98,25 @@ class Result:
         What could not be found, and why.
     settings : tuple of str
         Which of ``strain`` and ``damping`` matter for this kind.
+    units : str
+        Those of the table of this kind.
+    figure : str
+        ``module:function`` that draws results, by their names, on a figure of matplotlib and returns it; or
+        this function, as a static method. Empty: there is no picture.
+    exports : str
+        ``module:function`` that writes a result for other programs, as :func:`petscjam.export_rheology` does.
     """
 
     origin: Origin
     notes: tuple[str, ...] = field(default=(), kw_only=True)
     settings: ClassVar[tuple[str, ...]] = ()
+    units: ClassVar[str] = ""
+    figure: ClassVar[Any] = ""
+    exports: ClassVar[str] = ""
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it, by the heads of the columns."""
+        return {}
 
     @property
     def prestress(self) -> bool:
@@ -158,3 +174,27 @@ class Judged(Result):
     def stable(self) -> bool:
         """Whether ``state`` is ``stable``."""
         return self.state == "stable"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """The verb of an analysis of packings, ``VERB`` in its module.
+
+    Attributes
+    ----------
+    analyse : callable or str
+        The function, or its ``module:name``: ``analyse(packing, **options, prestress=…, comm=…, name=…,
+        progress=…)``, with ``strain`` and ``damping`` if these are ``settings`` of its result.
+    output : str
+        What the file holds.
+    options : callable
+        Adds its options to a parser. The ``dest`` of each is an argument of the function; that of an option
+        that takes another function, ``module:name``, is ``analyse``.
+    laws : str
+        The option that takes such a function, if damping laws go with that one alone.
+    """
+
+    analyse: Callable[..., Result] | str
+    output: str
+    options: Callable[[ArgumentParser], Any] = lambda parser: None
+    laws: str = ""

@@ -26,7 +26,7 @@ from petscjam.parallel.petsc import destroying, petsc
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.preparation.certify import negative_pivots, pivots_below
 from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.modes import check, everywhere, lowest_modes, probe, signs
+from petscjam.response.modes import PROVED, check, everywhere, lowest_modes, probe, signs
 from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
@@ -69,6 +69,20 @@ class RelaxationModes(Result):
     geometry: Packing
     performance: dict[str, Any] = field(default_factory=dict)
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
+    units: ClassVar[str] = "times in tau1, weights in k"
+    figure: ClassVar[str] = "petscjam.plots.modes:relaxations_figure"
+
+    def row(self) -> dict[str, float | str]:
+        """Return what the table shows of it."""
+        return {
+            "law": str(self.damping),
+            "modes": f"{len(self.times)}",
+            "slowest": self.times[0],
+            "fastest": self.times[-1],
+            "weights": float(self.weights.sum()),
+            "residual": f"{self.residuals.max():.0e}",
+            "complete": PROVED.get(self.complete, "not known"),
+        }
 
 
 def relaxation_modes(

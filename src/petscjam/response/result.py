@@ -73,6 +73,8 @@ class ComplexModulus(Judged):
     performance: dict[str, Any] = field(default_factory=dict)
     model: Spectrum | None = None
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
+    figure: ClassVar[str] = "petscjam.plots.modulus:moduli_figure"
+    exports: ClassVar[str] = "petscjam.io.rheology:export_rheology"
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:

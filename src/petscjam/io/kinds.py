@@ -1,0 +1,65 @@
+"""The kinds of results, and of files. docs/howto/extend.md adds one of the first."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from pkgutil import resolve_name
+
+from petscjam.base.files import h5_format
+from petscjam.md.result import FORMAT as RUN
+from petscjam.md.result import is_run
+from petscjam.response.origin import Result
+
+# The class of each kind, and what its verb, if it has one of its own, says of itself. Files have the format
+# "petscjam KIND". A module is imported where it is needed, so that the command starts at once.
+KINDS = {
+    "moduli": ("petscjam.response.result:ComplexModulus", ""),
+    "nonaffine": (
+        "petscjam.analysis.nonaffine:QuasistaticResponse",
+        "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain",
+    ),
+    "modes": ("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
+    "relaxations": ("petscjam.response.relaxations:RelaxationModes", ""),
+    "rebuilt": ("petscjam.analysis.rebuilt:Rebuilt", ""),
+    "density": ("petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"),
+    "correlations": (
+        "petscjam.analysis.correlations:Correlations",
+        "how far non-affine displacements are correlated along the shear, at any frequency",
+    ),
+    "drag": (
+        "petscjam.analysis.drag:NonlinearModulus",
+        "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping",
+    ),
+    "viscosity": ("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
+}
+PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"
+
+
+def class_of(kind: str) -> type[Result]:
+    """Return the class of the results of a ``kind``."""
+    found: type[Result] = resolve_name(KINDS[kind][0])
+    return found
+
+
+def kind_of(result: type[Result]) -> str:
+    """Return the kind of results of a class."""
+    return next(kind for kind, (place, _) in KINDS.items() if place == f"{result.__module__}:{result.__name__}")
+
+
+def recognise(path: str | PathLike[str]) -> str:
+    """Return what is at ``path``: ``library`` or ``runs`` (folders), ``run``, ``results`` or ``packing``.
+
+    A packing is of any format: :func:`petscjam.import_packing` tells them apart, and refuses what is none.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged.
+    """
+    if Path(path).is_dir():
+        return "runs" if any(is_run(file) for file in Path(path).glob("*.h5")) else "library"
+    said = h5_format(path) or ""
+    if said == RUN:
+        return "run"
+    return "results" if said == SPECTRUM or said.removeprefix(PREFIX) in KINDS else "packing"
