@@ -28,7 +28,7 @@ import numpy as np
 from minimise_lammps import LAMMPS, install
 
 from petscjam.io.lammps_shear import read_log, write_lammps
-from petscjam.md.model import model
+from petscjam.md.model import Model
 from petscjam.md.runs import shear
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
@@ -66,7 +66,7 @@ def work(integrator, threads, steps):
 
     numba.set_num_threads(threads)
     state = State(**np.load("start.npz"))
-    simulation = Simulation(state, model("CD_rot", 1.0), DT, integrator, threads)
+    simulation = Simulation(state, Model.of("CD_rot", 1.0), DT, integrator, threads)
     advance(simulation, FIRST)
     simulation.collect()
     wall, cpu = time.perf_counter(), time.process_time()
@@ -120,7 +120,7 @@ def compare(n, steps, rounds):
     with TemporaryDirectory() as name:
         folder, state = Path(name), sheared(n)
         np.savez(folder / "start.npz", **{field: getattr(state, field) for field in FIELDS})
-        write_lammps(state, model("CD_rot", 1.0), folder, rate=RATE, strain=1.0, dt=DT)
+        write_lammps(state, Model.of("CD_rot", 1.0), folder, rate=RATE, strain=1.0, dt=DT)
         skin = max(SKINS, key=lambda skin: lammps(folder, n, steps, skin, 1))
         ways = [(lammps, skin, 1), (petscjam, "heun", 1), (petscjam, "single", 1)]
         if n >= THREADED and len(CORES) > 1:
@@ -157,7 +157,7 @@ def found_there(name, seed, strain):
     state = shear(name, **PHYSICS, strain=1e-6, seed=seed, dt=DT).state
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        law = model(name, PHYSICS["Q"])
+        law = Model.of(name, PHYSICS["Q"])
         write_lammps(state, law, folder, rate=PHYSICS["rate"], strain=strain, dt=DT, every=400)
         run_lammps(folder, "in.shear")
         run_lammps(folder, "in.elastic")

@@ -11,7 +11,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import kernels
-from petscjam.md.kernels import TICKS
+from petscjam.md.engine import TICKS
 from petscjam.md.model import INTEGRATORS, MODELS, Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state

@@ -132,16 +132,16 @@ def test_disks_that_just_touch_are_a_pair():
 
 
 @pytest.mark.parametrize("name", ["bidisperse", "one giant"])
-def test_runs_of_disks_are_apart(name):
+def test_chunks_of_disks_are_apart(name):
     """What is said of the order: threads rely on it."""
     n = 2 * CHUNK + 100
     x, radii, L = crowd(n, 0.9, sizes(name, n))
-    i, j, runs, images = find(x, L * np.eye(2), radii, 0.3)
-    inside = runs[-1]
-    assert len(runs) == 4 and len(images) == len(i) - inside > 0
-    for run in range(3):
-        own = slice(runs[run], runs[run + 1])
-        assert (i[own] // CHUNK == run).all() and (j[own] // CHUNK == run).all()
+    i, j, chunks, images = find(x, L * np.eye(2), radii, 0.3)
+    inside = chunks[-1]
+    assert len(chunks) == 4 and len(images) == len(i) - inside > 0
+    for k in range(3):
+        own = slice(chunks[k], chunks[k + 1])
+        assert (i[own] // CHUNK == k).all() and (j[own] // CHUNK == k).all()
     assert (np.diff(i[:inside].astype(int)) >= 0).all() and (np.diff(i[inside:].astype(int)) >= 0).all()
     alone = (i[inside:] // CHUNK == j[inside:] // CHUNK) & ~images.any(axis=1)
     assert not alone.any()

@@ -100,7 +100,7 @@ def test_a_start_whose_name_is_no_text(tmp_path):
     short = {"n": 16, "rate": 1e-2, "strain": 0.02, "seed": 1}
     pj.md.shear(**short, output=odd)
     pj.md.shear(rate=1e-2, strain=0.02, start=odd, output=tmp_path / "run.h5")
-    assert pj.md.read(tmp_path / "run.h5").settings["start"].startswith("start?.h5: ")
+    assert pj.md.read(tmp_path / "run.h5").settings.start.startswith("start?.h5: ")
 
 
 def test_a_library_with_a_name_that_is_no_text(tmp_path):
@@ -381,7 +381,7 @@ def test_a_run_that_goes_on_elsewhere_says_that_bits_may_differ(tmp_path, monkey
         patch.setattr(runs, "build", lambda: elsewhere)
         with pytest.warns(UserWarning, match=f"made with numba {here['numba']}, now 0.1; processor .*bits may differ"):
             pj.md.shear(**short, strain=0.3)
-    assert elsewhere.items() <= pj.md.read(out).settings.items()
+    assert elsewhere.items() <= pj.md.read(out).settings.attributes.items()
     given = ["--particles", "16", "--rate", "1e-2", "--strain", "0.4", "--row-time", "5", "--resume"]
     with pytest.warns(UserWarning, match=f"processor pentium, now {here['processor']}: the last bits"):
         assert main(["shear", *given, "-o", str(out)]) == 0

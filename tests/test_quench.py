@@ -10,8 +10,10 @@ from petscjam.base.files import atomic_h5
 from petscjam.cli import main
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.potential import power_law
+from petscjam.md.observables import BLOCKS, ROWS
 from petscjam.md.quench import quench, snapshot
-from petscjam.md.result import BLOCKS, ROWS, SHAPES, Run, write_run
+from petscjam.md.result import Run, write_run
+from petscjam.md.settings import Settings
 from petscjam.md.state import State, random_state
 
 SETTINGS = {
@@ -38,8 +40,9 @@ SETTINGS = {
 
 def run_of(state):
     rows = {name: np.zeros(1) for name in ROWS}
-    settings = {**SETTINGS, "potential": state.potential_name}
-    blocks = {name: np.zeros([int(n) if n.isdigit() else 1 for n in SHAPES[name].split()]) for name in BLOCKS}
+    settings = Settings.from_attributes(SETTINGS | {"potential": state.potential_name})
+    shapes = {name: ["1", *block.shape.split()] for name, block in BLOCKS.items()}
+    blocks = {name: np.zeros([int(n) if n.isdigit() else 1 for n in axes]) for name, axes in shapes.items()}
     return Run(settings, rows, blocks, state)
 
 

@@ -19,7 +19,7 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.potential import power_law
 from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
-from petscjam.md.model import Model, model_of
+from petscjam.md.model import Model
 from petscjam.md.result import blocked_error, export_csv, read_folder
 from petscjam.md.runs import run
 from petscjam.md.simulation import Simulation
@@ -78,7 +78,7 @@ def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, 
 KILLED = """
 import sys, petscjam as pj
 from petscjam.md import recording
-book.EVERY = 0.0
+recording.EVERY = 0.0
 def report(done, text):
     print(done, flush=True)
 given = dict(rate=1e-2, strain=3.0, seed=3, output=sys.argv[1], resume=True)
@@ -151,14 +151,14 @@ def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, setti
     assert main([*command, "--resume"]) == 0, capsys.readouterr().err
     after = pj.md.read(file)
     for name in ("dt", "row_steps"):
-        assert after.settings[name] == before.settings[name]
+        assert after.settings.attributes[name] == before.settings.attributes[name]
     kept = len(before.time)
     assert np.array_equal(after.stress[:kept], before.stress)
     if longer is None:
         assert same(after, before) == []
     else:
         assert after.time[-1] == pytest.approx(2 * before.time[-1], rel=1e-2)
-    assert {name: np.array(after.settings[name]).tolist() for name in settings} == settings
+    assert {name: np.array(after.settings.attributes[name]).tolist() for name in settings} == settings
 
 
 def test_disks_that_never_meet_dissipate_nothing():
@@ -314,7 +314,7 @@ def test_the_budget_of_a_ramp_closes_with_what_the_jumps_bring():
 def test_shear_that_stops_leaves_the_strain_and_takes_the_motion():
     """Cessation: at a strain rate of 0 the dissipation dies out."""
     stopped = run(protocols.steps([1e-2, 0.0], [0.5, 200.0]), "CD_rot", 36, 0.84, drag=0.1)
-    assert stopped.settings["bulk"] == "profile"
+    assert stopped.settings.bulk == "profile"
     assert stopped.strain[-1] == pytest.approx(0.5)
     assert stopped.rows["heat"][-1] < 0.02 * stopped.rows["heat"].max()
 
@@ -363,7 +363,7 @@ def test_every_start_is_recorded(tmp_path):
     """History matters."""
     file, given = tmp_path / "run.h5", {"rate": 1e-2, "strain": 0.05}
     first = pj.md.shear("CD", 36, 0.84, **given, output=file)
-    assert first.settings["start"] == "random"
+    assert first.settings.start == "random"
     for start, text in (
         (first, "CD from random"),
         (first.state, "a state"),
@@ -371,8 +371,8 @@ def test_every_start_is_recorded(tmp_path):
         (str(file), "run.h5"),
     ):
         second = pj.md.shear("CD_rot", **given, start=start)
-        assert text in second.settings["start"]
-        assert second.settings["phi"] == pytest.approx(0.84)
+        assert text in second.settings.start
+        assert second.settings.phi == pytest.approx(0.84)
         assert second.strain[0] > 0.05
     with pytest.raises(InputError, match="36 disks, not 64"):
         pj.md.shear(n=64, start=file)
@@ -395,16 +395,16 @@ def test_a_start_keeps_its_potential(tmp_path, alpha, relative):
         )
         assert np.abs(still.state.velocities).max() < 1e-7
         assert still.pressure_elastic == pytest.approx(p * ds**2 / (1 if relative else ds**alpha), rel=1e-6)
-        assert still.settings["potential"] == still.state.potential_name == name
-    assert model_of(pj.md.read(tmp_path / "run.h5").settings).potential == power_law(alpha, relative)
+        assert still.settings.model.potential.name == still.state.potential_name == name
+    assert pj.md.read(tmp_path / "run.h5").settings.model.potential == power_law(alpha, relative)
     frame = next((tmp_path / "run.frames").iterdir())
     assert pj.import_packing(frame).potential_name == name
     again = pj.md.shear("CD", rate=1e-3, strain=1e-3, start=tmp_path / "run.h5", output=tmp_path / "b.h5")
-    assert again.settings["potential"] == name
+    assert again.settings.model.potential.name == name
     longer = pj.md.shear("CD", rate=1e-3, strain=2e-3, output=tmp_path / "b.h5", resume=True)
-    assert longer.settings["potential"] == name
+    assert longer.settings.model.potential.name == name
     other = pj.md.shear("CD", rate=1e-3, strain=1e-3, start=still, exponent=2.2)
-    assert other.settings["potential"] == power_law(2.2, relative).name
+    assert other.settings.model.potential.name == power_law(2.2, relative).name
     with pytest.raises(InputError, match=r"potential = .*cannot be resumed"):
         pj.md.shear("CD", rate=1e-3, strain=2e-3, exponent=2.2, output=tmp_path / "b.h5", resume=True)
 
@@ -416,7 +416,7 @@ def test_a_resumed_run_keeps_its_start(tmp_path):
     packing = quench_like(first)
     given = {"model": "CD", "rate": 1e-3, "strain": 1e-3, "output": file}
     pj.md.shear(**given, start=packing)
-    assert "seed" not in pj.md.read(file).settings
+    assert pj.md.read(file).settings.seed is None
     pj.md.shear(**given, start=packing, resume=True)
     pj.md.shear(**given, resume=True)
     with pytest.raises(InputError, match=r"start = packing .*cannot be resumed"):
@@ -460,8 +460,8 @@ def test_squares_by_other_lattice_vectors(vectors, degrees, tilt):
     one, two = (pj.md.shear("CD", rate=1e-2, strain=1e-2, start=p) for p in (straight, start))
     assert two.stress == pytest.approx(one.stress, rel=1e-9)
     assert two.pressure == pytest.approx(one.pressure, rel=1e-9)
-    assert (f"turned by {-degrees}" in two.settings["start"]) == (degrees != 0)
-    assert "turned" not in one.settings["start"]
+    assert (f"turned by {-degrees}" in two.settings.start) == (degrees != 0)
+    assert "turned" not in one.settings.start
 
 
 def test_a_cell_sheared_along_y_is_turned():
@@ -470,7 +470,7 @@ def test_a_cell_sheared_along_y_is_turned():
     upright = pj.Packing(plain.positions @ F.T, plain.radii, plain.box.deformed(F))
     lying = pj.Packing(turn(upright.positions, -90), upright.radii, pj.Box(turn(upright.box.cell, -90)))
     one, two = (pj.md.shear("CD", rate=1e-2, strain=1e-2, start=p) for p in (upright, lying))
-    assert "turned by -90" in one.settings["start"]
+    assert "turned by -90" in one.settings.start
     assert two.stress == pytest.approx(one.stress, rel=1e-9)
     assert one.strain[0] == pytest.approx(-0.3 + 1e-2)
 
@@ -490,7 +490,7 @@ def test_a_packing_is_a_start_at_rest_in_its_own_cell():
     """Lengths are those of the smallest diameter; a cell that is not a sheared square is refused."""
     packing = pj.prepare_packing(32, pressure=1e-2, seed=1)
     sheared = pj.md.shear("CD", rate=1e-2, strain=0.02, start=packing)
-    assert sheared.settings["phi"] == pytest.approx(packing.phi)
+    assert sheared.settings.phi == pytest.approx(packing.phi)
     assert 2 * sheared.state.radii.min() == pytest.approx(1.0)
     for cell in (
         packing.box.cell * [[2.0], [1.0]],
@@ -534,8 +534,8 @@ def test_a_model_survives_the_file(tmp_path):
     """A law that has no name in VOT, too."""
     law = ContactDamping(beta=0.3, rotations=True)
     made = pj.md.shear(law, 36, 0.82, 2.0, rate=1e-2, strain=0.02, drag=0.1, output=tmp_path / "a.h5")
-    assert model_of(pj.md.read(tmp_path / "a.h5").settings) == Model(law, 2.0, drag=0.1)
-    assert model_of(made.settings) == Model(law, 2.0, drag=0.1)
+    assert pj.md.read(tmp_path / "a.h5").settings.model == Model(law, 2.0, drag=0.1)
+    assert made.settings.model == Model(law, 2.0, drag=0.1)
 
 
 def test_states_are_checked_at_birth():

@@ -10,9 +10,12 @@ from matplotlib.figure import Figure
 
 import petscjam as pj
 from petscjam.base.errors import InputError
+from petscjam.md.engine import BINS
 from petscjam.md.fields import _overlap, bands, local_maps, profile
 from petscjam.md.frames import write_frame
-from petscjam.md.result import BINS, ROWS, Run
+from petscjam.md.observables import ROWS
+from petscjam.md.result import Run
+from petscjam.md.settings import Settings
 from petscjam.md.state import State, random_state
 from petscjam.plots import shear
 
@@ -101,8 +104,9 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
         "scatter": scatter,
     }
     usual = {"model": "CD_rot", "particles": 1024, "phi": 0.8, "Q": Q, "rate": float(rates[0]), "strain0": 0.0}
-    usual |= {"time0": 0.0, "kappa": 1e-5, "protocol": protocol, "seed": seed}
-    return Run(usual | settings, data, blocks, state)
+    usual |= {"time0": 0.0, "kappa": 1e-5, "protocol": protocol, "seed": seed, "dt": 0.05, "integrator": "heun"}
+    usual |= {"law": "contact", "potential": "harmonic-relative", "start": "random"}
+    return Run(Settings.from_attributes(usual | settings), data, blocks, state)
 
 
 # --- local maps ---------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ except Exception as error:
     ) from error
 
 prange = numba.prange
+BATCH = 256  # pairs whose scratch arrays stay in the cache of a processor
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 _forked = False
 T = TypeVar("T")

@@ -265,7 +265,6 @@ def _export_results(options: argparse.Namespace) -> Path:
 
 def _export_run(options: argparse.Namespace) -> Path:
     from petscjam.io.lammps_shear import write_lammps
-    from petscjam.md.model import model_of
     from petscjam.md.result import export_csv, read
 
     fmt, target = _target(options, "csv", ("csv", "lammps"), "sheared run")
@@ -275,7 +274,7 @@ def _export_run(options: argparse.Namespace) -> Path:
     if fmt == "csv":
         export_csv(run, target, overwrite=options.overwrite)
         return target
-    model, dt = model_of(run.settings), run.settings["dt"]
+    model, dt = run.settings.model, run.settings.dt
     divided = run.rows["parts"].max() > 1
     write_lammps(
         run.state,

@@ -21,7 +21,7 @@ from petscjam.base.types import Array, Integers
 from petscjam.geometry.box import Box
 from petscjam.parallel.memory import available_memory
 
-CHUNK = 4096
+CHUNK = 4096  # disks
 BYTES = 150  # of memory a pair, at the peak of ContactNetwork.of
 
 
@@ -54,9 +54,9 @@ def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -
     check_memory(box, radii, skin)
     lattice = np.array(box.reduced)
     rounding = 1e-12 * np.abs(lattice).max()
-    i, j, runs, images = find(x, lattice, radii, skin + rounding)
+    i, j, chunks, images = find(x, lattice, radii, skin + rounding)
     image = np.zeros((len(i), 2))
-    image[runs[-1] :] = images
+    image[chunks[-1] :] = images
     back = (i > j) | ((i == j) & ((image[:, 0] < 0) | ((image[:, 0] == 0) & (image[:, 1] < 0))))
     image[back] *= -1
     i, j = np.where(back, j, i).astype(np.int64), np.where(back, i, j).astype(np.int64)
@@ -189,7 +189,7 @@ def _grids(x, lattice, inverse, width, radii, skin):
 
 @njit(cache=True, error_model="numpy")
 def _list(a, g, lattice, width, skin, inside, across, images, m, rest):
-    """Add the pairs of disks from ``a`` on to the ``m`` inside runs and to the others, ``rest``.
+    """Add the pairs of disks from ``a`` on to the ``m`` inside chunks and to the others, ``rest``.
 
     Return the disk at which there is no more room (N: none), and both numbers before it. Arrays that grow in
     this loop would be counted by reference in it: three times as slow.
@@ -251,8 +251,8 @@ def _longer(old, used):
 def find(x, lattice, radii, skin):
     """List the pairs with r ≤ ρi + ρj + ``skin``, each once, the first disk not of a larger class.
 
-    Disks are cut into runs of CHUNK. Pairs inside a run that need no image come first, then the others, both
-    in the order of their first disk: what is summed run by run does not depend on the number of threads.
+    Disks are cut into chunks of CHUNK. Pairs inside a chunk that need no image come first, then the others, both
+    in the order of their first disk: sums chunk by chunk do not depend on the number of threads.
 
     Parameters
     ----------
@@ -266,9 +266,9 @@ def find(x, lattice, radii, skin):
     Returns
     -------
     i, j : (C,) uint32
-    runs : (number of runs + 1,)
-        Where the pairs of each run begin, and the others.
-    images : (C − runs[-1], 2) integers
+    chunks : (number of chunks + 1,)
+        Where the pairs of each chunk begin, and the others.
+    images : (C − chunks[-1], 2) integers
         Of the second disk of these: r = x_j − x_i + images·lattice.
     """
     n = len(x)
@@ -287,13 +287,13 @@ def find(x, lattice, radii, skin):
         inside, across, rows = _longer(inside, m), _longer(across, rest), _longer(rows, rest)
         a, m, rest = _list(a, grids, lattice, width, skin, inside, across, rows, m, rest)
     i, j = np.empty(m + rest, np.uint32), np.empty(m + rest, np.uint32)
-    runs, images = np.zeros((n - 1) // CHUNK + 2, np.int64), np.empty((rest, 2), np.int64)
+    chunks, images = np.zeros((n - 1) // CHUNK + 2, np.int64), np.empty((rest, 2), np.int64)
     for c in range(m):
         i[c], j[c] = inside[c, 0], inside[c, 1]
-        runs[i[c] // CHUNK + 1] = c + 1
-    for run in range(1, len(runs)):
-        runs[run] = max(runs[run], runs[run - 1])
+        chunks[i[c] // CHUNK + 1] = c + 1
+    for k in range(1, len(chunks)):
+        chunks[k] = max(chunks[k], chunks[k - 1])
     for c in range(rest):
         i[m + c], j[m + c] = across[c, 0], across[c, 1]
         images[c, 0], images[c, 1] = rows[c, 0], rows[c, 1]
-    return i, j, runs, images
+    return i, j, chunks, images

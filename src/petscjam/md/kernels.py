@@ -4,6 +4,7 @@ Units are ds, m, τe. With the surface speed w = Rθ̇ as the rotational variabl
 the same torque term: with arms R r/σ (VOT eq. 6), ẇ = 2 (r/σ) ft/m on either, whatever its radius.
 
 Axes: i, j disks of pair c; columns of q: x, y, vx, vy, w; columns of F: the forces on these velocities.
+Sums are taken chunk by chunk, one row each; the last row is that of pairs which join chunks or images.
 """
 
 from __future__ import annotations
@@ -13,24 +14,43 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.base.compiled import njit, prange
+from petscjam.base.compiled import BATCH, FAST, njit, prange
 from petscjam.base.types import Array
 from petscjam.geometry.neighbours import CHUNK
+from petscjam.md.engine import (
+    BINS,
+    CONTACTS,
+    DVX2,
+    DXX,
+    DXY,
+    DYX,
+    DYY,
+    EXX,
+    EXY,
+    EYY,
+    HEAT,
+    JUMPS,
+    KXX,
+    KXY,
+    KYY,
+    NORMAL2,
+    SPIN,
+    SPIN2,
+    TANGENTIAL2,
+    TICKS,
+    TOUCHING,
+    VY2,
+    WORK,
+)
 
-BATCH = 256
-BINS = 100
-FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 HEUN, SINGLE = 0, 1
-TICKS = 1024  # a step: the finest parts that it can be divided into, a power of 2
-SUMS = 14
-(EXX, EXY, EYY, DXX, DXY, DYX, DYY, TOUCHING, HEAT, KXX, KXY, KYY, WORK, JUMPS) = range(SUMS)
 
 
 class Law(NamedTuple):
-    """A model as the kernel sees it.
+    """A model for the kernels.
 
-    No exponent means 2: with a power the loop does not vectorise. Where overlaps count relative to σ, it is
-    not ``absolute``, but None.
+    An exponent of 2 is given as None: with a power the loop does not vectorise. ``absolute`` is 1 where overlaps
+    count as they are, None where they count relative to σ.
     """
 
     normal: float
@@ -53,11 +73,38 @@ class Disks(NamedTuple):
     home: Array
 
 
-class Events(NamedTuple):
-    """Contact events of each run, and of the rest: made, broken, ticks touched; angles of both."""
+class Moment(NamedTuple):
+    """γ, γ̇ in 1/τe, and the time in ticks."""
 
+    strain: float
+    rate: float
+    tick: int
+
+
+class Measured(NamedTuple):
+    """Sums and contact events of each chunk, one row each, and of the rest in the last row.
+
+    ``counts`` has contacts made, broken, and ticks that the latter touched; ``angles`` those of both. ``total``
+    gets the sums of all rows, step by step.
+    """
+
+    sums: Array
     counts: NDArray[np.int64]
     angles: NDArray[np.int64]
+    total: Array
+
+
+class Scheme(NamedTuple):
+    """How steps are made: HEUN or SINGLE, dt of a part, parts of a step, what a change of the rate does.
+
+    ``threads`` is True, or None: then the kernels of one thread alone are compiled.
+    """
+
+    integrator: int
+    dt: float
+    parts: int
+    bulk: int
+    threads: bool | None
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -81,10 +128,10 @@ def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent, absolute):
     return spring * near, gx, gy, touch
 
 
-@njit(cache=True, error_model="numpy")
-def separation(c, q, pairs, L, strain, rate):
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def separation(c, q, pairs, strain, rate):
     """Return rji and vji of pair c, with the image of j that is meant."""
-    a, b, image = pairs.i[c], pairs.j[c], c - pairs.runs[-1]
+    a, b, image, L = pairs.i[c], pairs.j[c], c - pairs.chunks[-1], pairs.L
     x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
     if image >= 0:
         x += (pairs.nx[image] + pairs.ny[image] * strain) * L
@@ -93,35 +140,35 @@ def separation(c, q, pairs, L, strain, rate):
     return x, y, vx, vy
 
 
-@njit(cache=True, error_model="numpy")
-def _event(c, q, pairs, L, strain, rate, tick, counts, angles):
-    """Book that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
-    x, y, vx, vy = separation(c, q, pairs, L, strain, rate)
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _event(c, q, pairs, now, counts, angles):
+    """Record that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
+    x, y, vx, vy = separation(c, q, pairs, now.strain, now.rate)
     angle = np.arctan2(vx * y - vy * x, vx * x + vy * y)  # the signs of rji and vji cancel
     bin = min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
     if pairs.touching[c]:
         counts[1] += 1
-        counts[2] += tick - pairs.since[c]
+        counts[2] += now.tick - pairs.since[c]
         angles[1, bin] += 1
         pairs.touching[c] = 0
     else:
         counts[0] += 1
         angles[0, bin] += 1
         pairs.touching[c] = 1
-        pairs.since[c] = tick
+        pairs.since[c] = now.tick
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, tick, sums, events):
-    """Add a range of pairs, in batches: in scratch arrays, overwritten, the main loop vectorises.
+def _add_pairs(chunk, first, last, q, F, pairs, law, now, measure, measured):
+    """Add the forces of pairs ``first`` to ``last``, in batches: the main loop vectorises over scratch arrays.
 
-    ``part`` is the row of ``sums`` and ``events`` that they belong to; those of the last one have images.
+    ``chunk`` is the row of ``measured`` that they belong to; those of the last one have images.
     """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
     normal, tangential, rolls = law.normal, law.tangential, law.rolls
     exponent, absolute = law.exponent, law.absolute
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
-    images = pairs.runs[-1]
+    images, L, strain, rate, sums = pairs.chunks[-1], pairs.L, now.strain, now.rate, measured.sums
     for start in range(first, last, BATCH):
         n = min(BATCH, last - start)
         i, j = pairs.i[start : start + n], pairs.j[start : start + n]
@@ -153,7 +200,7 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, ti
             if changed:
                 for c in range(n):
                     if V[c] != touching[c]:
-                        _event(start + c, q, pairs, L, strain, rate, tick, events.counts[part], events.angles[part])
+                        _event(start + c, q, pairs, now, measured.counts[chunk], measured.angles[chunk])
         else:
             for c in range(n):
                 x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
@@ -170,24 +217,24 @@ def _add_pairs(part, first, last, q, F, pairs, law, L, strain, rate, measure, ti
             F[b, 0] -= fx
             F[b, 1] -= fy
             F[b, 2] += torque
-    sums[part, EXX], sums[part, EXY], sums[part, EYY] = exx, exy, eyy
-    sums[part, DXX], sums[part, DXY], sums[part, DYX], sums[part, DYY] = dxx, dxy, dyx, dyy
-    sums[part, TOUCHING], sums[part, HEAT], sums[part, WORK] = count, heat, 0.0
+    sums[chunk, EXX], sums[chunk, EXY], sums[chunk, EYY] = exx, exy, eyy
+    sums[chunk, DXX], sums[chunk, DXY], sums[chunk, DYX], sums[chunk, DYY] = dxx, dxy, dyx, dyy
+    sums[chunk, TOUCHING], sums[chunk, HEAT], sums[chunk, WORK] = count, heat, 0.0
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _drag(run, q, F, R, law, rate, sums):
+def _drag(chunk, q, F, R, law, rate, sums):
     """Add Stokes drag: −ζ(v − γ̇ y x̂) on a disk, −ζr(θ̇ + γ̇/2) on its rotation."""
     heat = couple = 0.0
-    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+    for a in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))):
         cx, cy, spin = q[a, 2] - rate * q[a, 1], q[a, 3], q[a, 4] / R[a] + 0.5 * rate
         F[a, 0] -= law.body * cx
         F[a, 1] -= law.body * cy
         F[a, 2] -= 2.0 * law.spin_drag * spin / R[a]
         heat += law.body * (cx * cx + cy * cy) + law.spin_drag * spin * spin
         couple += law.spin_drag * spin
-    sums[run, HEAT] += heat
-    sums[run, WORK] = 0.5 * rate * couple  # of what keeps the fluid turning
+    sums[chunk, HEAT] += heat
+    sums[chunk, WORK] = 0.5 * rate * couple  # of what keeps the fluid turning
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -201,16 +248,16 @@ def kinetic(q, m, rate, sums):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _predict(run, disks, dt, scheme, rate, shear, room, sums):
+def _predict(chunk, disks, scheme, rate, shear, room, sums):
     """Predict where disks go (VOT eqs. 21, 22, or to second order); return how many leave their room.
 
     ``shear`` is the strain since the list was built. On the way, sum the products of peculiar velocities (VOT
     eq. 14), now (HEUN) or as predicted (SINGLE).
     """
-    q, p, F, m, home = disks.q, disks.p, disks.F, disks.m, disks.home
-    half, later = (0.5 * dt, 1.0) if scheme == SINGLE else (0.0, 0.0)
+    q, p, F, m, home, dt = disks.q, disks.p, disks.F, disks.m, disks.home, scheme.dt
+    half, later = (0.5 * dt, 1.0) if scheme.integrator == SINGLE else (0.0, 0.0)
     left = xx = xy = yy = 0.0
-    for a in range(run * CHUNK, min((run + 1) * CHUNK, len(q))):
+    for a in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))):
         gain = dt / m[a]
         ux, uy = gain * F[a, 0], gain * F[a, 1]
         x = q[a, 0] + dt * q[a, 2] + half * ux
@@ -225,18 +272,18 @@ def _predict(run, disks, dt, scheme, rate, shear, room, sums):
         xx, xy, yy = xx + m[a] * cx * cx, xy + m[a] * cx * cy, yy + m[a] * cy * cy
         dx, dy = x - shear * y - home[a, 0], y - home[a, 1]
         left += 1.0 if dx * dx + dy * dy > room * room else 0.0
-    if scheme == SINGLE:
-        F[run * CHUNK : (run + 1) * CHUNK] = 0.0
-    sums[run, KXX], sums[run, KXY], sums[run, KYY] = xx, xy, yy
+    if scheme.integrator == SINGLE:
+        F[chunk * CHUNK : (chunk + 1) * CHUNK] = 0.0
+    sums[chunk, KXX], sums[chunk, KXY], sums[chunk, KYY] = xx, xy, yy
     return left
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _correct(run, disks, dt, scheme):
+def _correct(chunk, disks, scheme):
     """Average both forces. HEUN: F is their sum (VOT eqs. 23, 24). SINGLE: (v + v̂)/2 holds half of one."""
-    q, p, F, m = disks.q, disks.p, disks.F, disks.m
-    first, last = run * CHUNK, min((run + 1) * CHUNK, len(q))
-    if scheme == HEUN:
+    q, p, F, m, dt = disks.q, disks.p, disks.F, disks.m, scheme.dt
+    first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))
+    if scheme.integrator == HEUN:
         for a in range(first, last):
             h = 0.5 * dt / m[a]
             vx, vy = q[a, 2] + h * F[a, 0], q[a, 3] + h * F[a, 1]
@@ -279,68 +326,64 @@ def jump(q, m, L, old, new, bulk):
 
 
 @njit(cache=True, error_model="numpy")
-def _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events):
-    """Add the forces inside a run."""
-    first, last = pairs.runs[run], pairs.runs[run + 1]
-    _add_pairs(run, first, last, q, F, pairs, law, 0.0, 0.0, 0.0, measure, tick, sums, events)
+def _force(chunk, q, disks, pairs, law, now, measure, measured):
+    """Add the forces inside a chunk."""
+    first, last = pairs.chunks[chunk], pairs.chunks[chunk + 1]
+    _add_pairs(chunk, first, last, q, disks.F, pairs, law, now, measure, measured)
     if law.body != 0.0 or law.spin_drag != 0.0:
-        _drag(run, q, F, disks.R, law, rate, sums)
+        _drag(chunk, q, disks.F, disks.R, law, now.rate, measured.sums)
 
 
 @njit(cache=True)
-def _force_runs(q, F, disks, pairs, law, rate, measure, tick, sums, events):
-    for run in range(len(pairs.runs) - 1):
-        _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events)
+def _force_chunks(q, disks, pairs, law, now, measure, measured):
+    for chunk in range(len(pairs.chunks) - 1):
+        _force(chunk, q, disks, pairs, law, now, measure, measured)
 
 
 @njit(cache=True, parallel=True)
-def _force_runs_threaded(q, F, disks, pairs, law, rate, measure, tick, sums, events):
-    for run in prange(len(pairs.runs) - 1):
-        _force_run(run, q, F, disks, pairs, law, rate, measure, tick, sums, events)
+def _force_chunks_threaded(q, disks, pairs, law, now, measure, measured):
+    for chunk in prange(len(pairs.chunks) - 1):
+        _force(chunk, q, disks, pairs, law, now, measure, measured)
 
 
 @njit(cache=True)
-def _predict_runs(disks, dt, scheme, rate, shear, room, sums, left):
-    for run in range(len(left)):
-        left[run] = _predict(run, disks, dt, scheme, rate, shear, room, sums)
+def _predict_chunks(disks, scheme, rate, shear, room, sums, left):
+    for chunk in range(len(left)):
+        left[chunk] = _predict(chunk, disks, scheme, rate, shear, room, sums)
 
 
 @njit(cache=True, parallel=True)
-def _predict_runs_threaded(disks, dt, scheme, rate, shear, room, sums, left):
-    for run in prange(len(left)):
-        left[run] = _predict(run, disks, dt, scheme, rate, shear, room, sums)
+def _predict_chunks_threaded(disks, scheme, rate, shear, room, sums, left):
+    for chunk in prange(len(left)):
+        left[chunk] = _predict(chunk, disks, scheme, rate, shear, room, sums)
 
 
 @njit(cache=True)
-def _correct_runs(disks, dt, scheme, runs):
-    for run in range(runs):
-        _correct(run, disks, dt, scheme)
+def _correct_chunks(disks, scheme, chunks):
+    for chunk in range(chunks):
+        _correct(chunk, disks, scheme)
 
 
 @njit(cache=True, parallel=True)
-def _correct_runs_threaded(disks, dt, scheme, runs):
-    for run in prange(runs):
-        _correct(run, disks, dt, scheme)
+def _correct_chunks_threaded(disks, scheme, chunks):
+    for chunk in prange(chunks):
+        _correct(chunk, disks, scheme)
 
 
 @njit(cache=True, error_model="numpy")
-def forces(q, F, disks, pairs, law, L, strain, rate, threads, measure, tick, sums, events):
-    """Add all forces on disks at ``q`` to ``F``.
-
-    With ``measure``, sums over pairs and disks go to ``sums`` (one row a run, the last for the rest), and
-    contacts that begin or cease to touch to ``events``.
-    """
+def forces(q, disks, pairs, law, now, threads, measure, measured):
+    """Add all forces on disks at ``q`` to those of ``disks``; with ``measure``, fill ``measured``."""
     if threads is not None:
-        _force_runs_threaded(q, F, disks, pairs, law, rate, measure, tick, sums, events)
+        _force_chunks_threaded(q, disks, pairs, law, now, measure, measured)
     else:
-        _force_runs(q, F, disks, pairs, law, rate, measure, tick, sums, events)
-    last, first, end = len(pairs.runs) - 1, pairs.runs[-1], len(pairs.i)
-    _add_pairs(last, first, end, q, F, pairs, law, L, strain, rate, measure, tick, sums, events)
+        _force_chunks(q, disks, pairs, law, now, measure, measured)
+    rest = len(pairs.chunks) - 1
+    _add_pairs(rest, pairs.chunks[rest], len(pairs.i), q, disks.F, pairs, law, now, measure, measured)
 
 
 @njit(cache=True, error_model="numpy")
-def book(sums, rate, weight, total):
-    """Add ``weight`` times the sums of all runs, and the power of the shear stress, to ``total``."""
+def record(sums, rate, weight, total):
+    """Add ``weight`` times the sums of all chunks, and the power of the shear stress, to ``total``."""
     shear = 0.0
     for name in range(WORK):
         value = sums[:, name].sum()
@@ -351,113 +394,117 @@ def book(sums, rate, weight, total):
 
 
 @njit(cache=True, error_model="numpy")
-def advance(
-    disks, pairs, law, L, dt, parts, scheme, strains, rates, bulk, built, skin, threads, tick, sums, events, total
-):
+def _change(disks, pairs, law, now, old, scheme, measured):
+    """Change the strain rate from ``old``, and add what that brings to the energy and to the work.
+
+    The stress belongs to the part before and to this one, in equal shares.
+    """
+    sums, change, heun = measured.sums, now.rate - old, scheme.integrator == HEUN
+    measured.total[JUMPS] += jump(disks.q, disks.m, pairs.L, old, now.rate, scheme.bulk)
+    disks.F[:] = 0.0
+    forces(disks.q, disks, pairs, law, now, scheme.threads, True, measured)
+    kinetic(disks.q, disks.m, now.rate, sums)
+    shear = sums[:, EXY].sum() + sums[:, DXY].sum() + sums[-1, KXY]
+    measured.total[WORK] += (0.5 if heun else -0.5) / scheme.parts * change * shear
+    sums[-1, KXX:WORK] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
     """Make parts of steps as long as the list of pairs holds.
 
     Parameters
     ----------
-    parts : int
-        Parts of each step.
+    disks : Disks
+    pairs : Pairs
+    law : Law
+    scheme : Scheme
     strains : (K + 1,)
         At the beginnings of parts, and at the end of the last.
     rates : (K + 1,)
-        Before the first part, and in each. ``bulk`` says what a change does (:func:`jump`).
-    built, skin : float
-        Strain at which the list was built, and its skin.
+        Before the first part, and in each.
     tick : int
-        Moment of the beginning, in :data:`TICKS` a step.
-    total : (SUMS,)
-        Gets the sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``.
+        Moment of the beginning, in :data:`petscjam.md.engine.TICKS` a step.
+    measured : Measured
+        ``total`` gets the sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``.
 
     Returns
     -------
     int
         Parts made: less than K if a new list is needed first.
     """
-    q, p, F = disks.q, disks.p, disks.F
-    runs = len(pairs.runs) - 1
-    left = np.zeros(runs, np.int64)
+    sums, heun, threads = measured.sums, scheme.integrator == HEUN, scheme.threads
+    chunks = len(pairs.chunks) - 1
+    left = np.zeros(chunks, np.int64)
     reach = 2.0 * disks.R.max()
-    F[:] = 0.0
+    disks.F[:] = 0.0
     fresh = True
-    dt /= parts
-    weight, ticks = 1.0 / parts, TICKS // parts
+    weight, ticks = 1.0 / scheme.parts, TICKS // scheme.parts
     for k in range(len(rates) - 1):
-        rate, now = rates[k + 1], tick + k * ticks
-        change = rate - rates[k]
-        if change != 0.0:
-            total[JUMPS] += jump(q, disks.m, L, rates[k], rate, bulk)
+        rate = rates[k + 1]
+        now, then = Moment(strains[k], rate, tick + k * ticks), Moment(strains[k + 1], rate, tick + k * ticks)
+        if rate != rates[k]:
+            _change(disks, pairs, law, now, rates[k], scheme, measured)
             rates[k] = rate
-            F[:] = 0.0
-            fresh = True
-        if scheme == HEUN or fresh:
-            look = scheme == HEUN or change != 0.0
-            forces(q, F, disks, pairs, law, L, strains[k], rate, threads, look, now, sums, events)
-            fresh = False
-        if change != 0.0:  # the stress belongs to the part before and to this one, in equal shares
-            kinetic(q, disks.m, rate, sums)
-            shear = sums[:, EXY].sum() + sums[:, DXY].sum() + sums[-1, KXY]
-            total[WORK] += (0.5 if scheme == HEUN else -0.5) * weight * change * shear
-            sums[-1, KXX:WORK] = 0.0
-        shear = strains[k + 1] - built
-        room = 0.5 * (skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
+        elif heun or fresh:
+            forces(disks.q, disks, pairs, law, now, threads, heun, measured)
+        fresh = False
+        shear = strains[k + 1] - pairs.strain
+        room = 0.5 * (pairs.skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
         if threads is not None:
-            _predict_runs_threaded(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
+            _predict_chunks_threaded(disks, scheme, rate, shear, max(room, 0.0), sums, left)
         else:
-            _predict_runs(disks, dt, scheme, rate, shear, max(room, 0.0), sums, left)
+            _predict_chunks(disks, scheme, rate, shear, max(room, 0.0), sums, left)
         if room <= 0.0 or left.sum() > 0:
             return k
-        if scheme == HEUN:
-            book(sums, rate, weight, total)
-        last = scheme == SINGLE
-        forces(p, F, disks, pairs, law, L, strains[k + 1], rate, threads, last, now, sums, events)
-        if last:
-            book(sums, rate, weight, total)
+        if heun:
+            record(sums, rate, weight, measured.total)
+        forces(disks.p, disks, pairs, law, then, threads, not heun, measured)
+        if not heun:
+            record(sums, rate, weight, measured.total)
         if threads is not None:
-            _correct_runs_threaded(disks, dt, scheme, runs)
+            _correct_chunks_threaded(disks, scheme, chunks)
         else:
-            _correct_runs(disks, dt, scheme, runs)
+            _correct_chunks(disks, scheme, chunks)
     return len(rates) - 1
 
 
 @njit(cache=True, error_model="numpy")
-def fastest(q, R, m, pairs, law, exponent, L, strain):
-    """Bound the largest eigenvalues of M⁻¹B and of M⁻¹K, from the contacts at this moment.
+def _stiffness(law, exponent, distance, inverse):
+    """Return k of a contact at ``distance``, in units of σ = 1/``inverse``: V″ in ke/ds² (VOT eq. 1)."""
+    k = inverse * inverse if law.absolute is None else 1.0
+    if exponent != 2.0:
+        k *= (exponent - 1.0) * (1.0 - distance) ** (exponent - 2.0)
+        if law.absolute is not None:
+            k *= inverse ** (2.0 - exponent)
+    return k
 
-    Of a relative velocity, |vi − vj|² ≤ (1 + zj/zi)|vi|² + (1 + zi/zj)|vj|² with the numbers of contacts z,
-    so the forms of all disks come apart (docs/theory.md, Largest time steps). Pre-stress only lowers K.
 
-    Returns
-    -------
-    relaxation, oscillation : float
-        In 1/τe, and squared in 1/τe².
+@njit(cache=True, error_model="numpy")
+def _moments(q, pairs, law, exponent, strain):
+    """Return sums over the contacts of each disk, (N, 9).
+
+    Σ w, Σ w cos 2φ, Σ w sin 2φ, the same with the stiffness, Σ w ρ t, Σ w ρ², where w = 1 + zj/zi.
     """
-    n, inverse, images = len(q), pairs.inverse, pairs.runs[-1]
-    z, X, Y = np.zeros(n), np.empty(len(inverse)), np.empty(len(inverse))
-    # of each disk Σ w, Σ w cos 2φ, Σ w sin 2φ, the same with the stiffness, Σ w ρ t, Σ w ρ²
-    s = np.zeros((n, 9))
-    for c in range(len(inverse)):
-        a, b = pairs.i[c], pairs.j[c]
-        X[c], Y[c] = (q[b, 0] - q[a, 0]) * inverse[c], (q[b, 1] - q[a, 1]) * inverse[c]
+    images, L = pairs.chunks[-1], pairs.L
+    z, X, Y = np.zeros(len(q)), np.empty(len(pairs.i)), np.empty(len(pairs.i))
+    for c in range(len(pairs.i)):
+        a, b, inverse = pairs.i[c], pairs.j[c], pairs.inverse[c]
+        X[c], Y[c] = (q[b, 0] - q[a, 0]) * inverse, (q[b, 1] - q[a, 1]) * inverse
         if c >= images:
-            X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * strain) * L * inverse[c]
-            Y[c] += pairs.ny[c - images] * L * inverse[c]
+            X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * strain) * L * inverse
+            Y[c] += pairs.ny[c - images] * L * inverse
         if X[c] * X[c] + Y[c] * Y[c] < 1.0:
             z[a] += 1.0
             z[b] += 1.0
-    for c in range(len(inverse)):
+    s = np.zeros((len(q), 9))
+    for c in range(len(pairs.i)):
         x, y = X[c], Y[c]
         square = x * x + y * y
         if square < 1.0:
             a, b, sign = pairs.i[c], pairs.j[c], 1.0
             cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
-            k = inverse[c] * inverse[c] if law.absolute is None else 1.0
-            if exponent != 2.0:
-                k *= (exponent - 1.0) * (1.0 - np.sqrt(square)) ** (exponent - 2.0)
-                if law.absolute is not None:
-                    k *= inverse[c] ** (2.0 - exponent)
+            k = _stiffness(law, exponent, np.sqrt(square), pairs.inverse[c])
             for _ in range(2):
                 w = 1.0 + z[b] / z[a]
                 s[a, 0] += w
@@ -470,8 +517,34 @@ def fastest(q, R, m, pairs, law, exponent, L, strain):
                 s[a, 7] += sign * w * y
                 s[a, 8] += w * square
                 a, b, sign = b, a, -1.0
+    return s
+
+
+@njit(cache=True, error_model="numpy")
+def fastest(disks, pairs, law, exponent, strain):
+    """Bound the largest eigenvalues of M⁻¹B and of M⁻¹K, from the contacts at this moment.
+
+    Of a relative velocity, |vi − vj|² ≤ (1 + zj/zi)|vi|² + (1 + zi/zj)|vj|² with the numbers of contacts z,
+    so the forms of all disks come apart (docs/theory.md, Largest time steps). Pre-stress only lowers K.
+
+    Parameters
+    ----------
+    disks : Disks
+    pairs : Pairs
+    law : Law
+    exponent : float
+        α of the repulsion.
+    strain : float
+        γ.
+
+    Returns
+    -------
+    relaxation, oscillation : float
+        In 1/τe, and squared in 1/τe².
+    """
+    m, R, s = disks.m, disks.R, _moments(disks.q, pairs, law, exponent, strain)
     relaxation = oscillation = 0.0
-    for a in range(n):
+    for a in range(len(s)):
         along = 0.5 * (law.normal + law.tangential) * s[a, 0] + law.body
         along += 0.5 * abs(law.normal - law.tangential) * np.sqrt(s[a, 1] ** 2 + s[a, 2] ** 2)
         turning = 2.0 * law.rolls * law.tangential * s[a, 8] + 2.0 * law.spin_drag / R[a] ** 2
@@ -483,11 +556,11 @@ def fastest(q, R, m, pairs, law, exponent, L, strain):
 
 
 @njit(cache=True, error_model="numpy")
-def elastic_energy(q, pairs, law, exponent, L, strain):
-    """Energy Σ k δ^α/α of the contacts (VOT eq. 1)."""
+def elastic_energy(q, pairs, law, exponent, strain):
+    """Return Σ k δ^α/α over the contacts (VOT eq. 1), in m ds²/τe²."""
     energy = 0.0
     for c in range(len(pairs.i)):
-        x, y, _, _ = separation(c, q, pairs, L, strain, 0.0)
+        x, y, _, _ = separation(c, q, pairs, strain, 0.0)
         overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
         if overlap > 0.0:
             scale = 1.0 if law.absolute is None else pairs.inverse[c] ** -exponent
@@ -496,55 +569,47 @@ def elastic_energy(q, pairs, law, exponent, L, strain):
 
 
 @njit(cache=True, error_model="numpy")
-def observe(q, R, pairs, L, strain, rate, pick, layers, moments, scatter):
-    """Look at every disk and contact once.
-
-    Parameters
-    ----------
-    pick : int
-        The contact whose velocities go to ``scatter`` (4,), modulo their number.
-    layers : (3, M)
-        Gets disks, their vx and their area by layer in y.
-    moments : (5, 4)
-        Gets the sums of V_T, V^R, V^C_T, V_N over contacts, then those of their products.
-
-    Returns
-    -------
-    sums : (7,)
-        Over disks: θ̇, θ̇², δvx², vy² (VOT eqs. 29, 35, 36); over contacts: vN², vT², and their number.
-    """
-    sums, v = np.zeros(7), np.zeros(4)
+def sample_disks(disks, L, rate, layers, sums):
+    """Add what disks do to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`)."""
+    q, R = disks.q, disks.R
     for a in range(len(q)):
         spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / L)
         y, vx = q[a, 1] - row * L, q[a, 2] - row * rate * L
-        sums[0] += spin
-        sums[1] += spin * spin
-        sums[2] += (vx - rate * y) ** 2
-        sums[3] += q[a, 3] ** 2
+        sums[SPIN] += spin
+        sums[SPIN2] += spin * spin
+        sums[DVX2] += (vx - rate * y) ** 2
+        sums[VY2] += q[a, 3] ** 2
         layer = min(int(y / L * layers.shape[1]), layers.shape[1] - 1)
         layers[0, layer] += 1.0
         layers[1, layer] += vx
         layers[2, layer] += np.pi * R[a] ** 2
-    touching = 0
+
+
+@njit(cache=True, error_model="numpy")
+def sample_contacts(q, pairs, now, moments, scatter, sums):
+    """Add what contacts do (:meth:`petscjam.md.engine.Engine.sample`); one goes to ``scatter``.
+
+    That one is spread over the contacts from sample to sample, and the same after a restart.
+    """
+    v, touching, rate = np.zeros(4), 0, now.rate
     for c in range(len(pairs.i)):
         touching += pairs.touching[c]
-    chosen = pick % max(touching, 1)
+    chosen = now.tick // TICKS % 2**31 * 2654435761 % 2**31 % max(touching, 1)
     for c in range(len(pairs.i)):
         if pairs.touching[c]:
-            x, y, vx, vy = separation(c, q, pairs, L, strain, rate)
+            x, y, vx, vy = separation(c, q, pairs, now.strain, rate)
             r = np.sqrt(x * x + y * y)
             v[0] = (vx * y - vy * x) / r
             v[1] = (q[pairs.i[c], 4] + q[pairs.j[c], 4]) * r * pairs.inverse[c]
             v[2] = v[0] + v[1]
             v[3] = -(vx * x + vy * y) / r
-            sums[4] += v[3] ** 2
-            sums[5] += v[0] ** 2
+            sums[NORMAL2] += v[3] ** 2
+            sums[TANGENTIAL2] += v[0] ** 2
             if rate != 0.0:
                 v /= rate
                 moments[0] += v
                 for k in range(4):
                     moments[k + 1] += v[k] * v
-                if sums[6] == chosen:
+                if sums[CONTACTS] == chosen:
                     scatter[:] = v
-            sums[6] += 1.0
-    return sums
+            sums[CONTACTS] += 1.0

@@ -6,7 +6,7 @@ Units are those of VOT: the diameter ds of a small disk, the mass m and the time
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from math import inf, sqrt
 from typing import Any
 
@@ -64,6 +64,54 @@ class Model:
         ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
+
+    @classmethod
+    def of(cls, law: str | DampingLaw, Q: float, **others: Any) -> Model:
+        """Return the model of a name of :data:`MODELS`, or of a damping law.
+
+        Parameters
+        ----------
+        law : str or DampingLaw
+        Q : float
+        **others
+            Further fields.
+
+        Raises
+        ------
+        InputError
+            If the name is unknown, or the law is none of :data:`petscjam.rows.damping.LAWS`.
+        """
+        if isinstance(law, str):
+            if law not in MODELS:
+                raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join(MODELS)}")
+            law = MODELS[law]
+        if not isinstance(law, tuple(LAWS.values())):
+            raise InputError(f"shear: {shown(law)} is neither the name of a model nor a damping law")
+        return cls(law, Q, **others)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its numbers by name, as in the file of a run."""
+        numbers = {"Q": self.Q, "potential": self.potential.name, "drag": self.drag, "spin_drag": self.spin_drag}
+        return {"model": self.name, "law": self.law.name, **asdict(self.law), **numbers}
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Model:
+        """Return the model of :attr:`settings`.
+
+        Raises
+        ------
+        InputError
+            If its law or its potential is unknown.
+        """
+        law = MODELS.get(settings["model"])
+        if law is None:
+            kind = LAWS.get(settings["law"])
+            if kind is None:
+                raise InputError(f"settings: the law {settings['law']!r} is unknown; known are {', '.join(LAWS)}")
+            law = kind(**{item.name: settings[item.name] for item in fields(kind)})
+        drags = {name: settings[name] for name in ("drag", "spin_drag") if name in settings}
+        return cls(law, settings["Q"], potential(settings["potential"]), **drags)
 
     @property
     def name(self) -> str:
@@ -141,24 +189,3 @@ def stable_step(integrator: str, relaxation: float, oscillation: float) -> float
         return min(2 / relaxation if relaxation else inf, sqrt(3 / oscillation) if oscillation else inf)
     both = relaxation + sqrt(relaxation**2 + oscillation)
     return 2 / both if both else inf
-
-
-def model(law: str | DampingLaw, Q: float, **others: Any) -> Model:
-    """Return the model of a name of :data:`MODELS`, or of a damping law."""
-    if isinstance(law, str):
-        if law not in MODELS:
-            raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join(MODELS)}")
-        law = MODELS[law]
-    if not isinstance(law, tuple(LAWS.values())):
-        raise InputError(f"shear: {shown(law)} is neither the name of a model nor a damping law")
-    return Model(law, Q, **others)
-
-
-def model_of(settings: Mapping[str, Any]) -> Model:
-    """Return the model of a run from its settings."""
-    law = MODELS.get(settings["model"])
-    if law is None:
-        kind = LAWS[settings["law"]]
-        law = kind(**{item.name: settings[item.name] for item in fields(kind)})
-    others = {name: settings[name] for name in ("Q", "drag", "spin_drag")}
-    return Model(law, potential=potential(settings["potential"]), **others)

@@ -1,7 +1,7 @@
 """Which disks may touch before the list is built anew: the pairs of :func:`petscjam.geometry.neighbours.find`.
 
-Disks are sorted in space. Pairs inside a run of them come first and need no image; the others come last,
-with the image (nx, ny) of the second disk. So runs are independent: sums do not depend on their threads.
+Disks are sorted in space. Pairs inside a chunk of them come first and need no image; the others come last,
+with the image (nx, ny) of the second disk. So chunks are independent: sums do not depend on their threads.
 
 Between two builds disks keep their coordinates, wherever they go. A list holds while twice the largest
 non-affine displacement, and what the shear brings together, are less than the skin.
@@ -22,7 +22,7 @@ from petscjam.geometry.neighbours import find
 
 
 class Pairs(NamedTuple):
-    """Pairs in the order of their first disk, runs first.
+    """Pairs in the order of their first disk, those inside chunks first.
 
     Attributes
     ----------
@@ -32,10 +32,12 @@ class Pairs(NamedTuple):
     touching : (C,) uint8
     since : (C,) int64
         Tick at which they came to touch.
-    runs : (number of runs + 1,) int64
-        Where the pairs of each run begin; those after the last join runs or images.
+    chunks : (number of chunks + 1,) int64
+        Where the pairs of each chunk begin; those after the last join chunks or images.
     nx, ny : int64
         Images of these.
+    L, strain, skin : float
+        Edge of the cell, γ at which the list was made, and how far apart disks on it may be.
     """
 
     i: NDArray[np.uint32]
@@ -43,9 +45,12 @@ class Pairs(NamedTuple):
     inverse: Array
     touching: NDArray[np.uint8]
     since: NDArray[np.int64]
-    runs: NDArray[np.int64]
+    chunks: NDArray[np.int64]
     nx: NDArray[np.int64]
     ny: NDArray[np.int64]
+    L: float
+    strain: float
+    skin: float
 
 
 @njit(cache=True, error_model="numpy")
@@ -89,7 +94,7 @@ def list_pairs(x, R, L, strain, skin):
     lattice = np.zeros((2, 2))
     lattice[0, 0] = lattice[1, 1] = L
     lattice[1, 0] = (strain - turns) * L
-    i, j, runs, images = find(x, lattice, R, skin)
+    i, j, chunks, images = find(x, lattice, R, skin)
     inverse = np.empty(len(i))
     for c in range(len(i)):
         inverse[c] = 1.0 / (R[i[c]] + R[j[c]])
@@ -97,7 +102,7 @@ def list_pairs(x, R, L, strain, skin):
     for c in range(len(images)):
         nx[c], ny[c] = images[c, 0] - int(turns) * images[c, 1], images[c, 1]
     touching, since = np.zeros(len(i), np.uint8), np.zeros(len(i), np.int64)
-    return Pairs(i, j, inverse, touching, since, runs, nx, ny)
+    return Pairs(i, j, inverse, touching, since, chunks, nx, ny, L, strain, skin)
 
 
 @njit(cache=True)
@@ -120,8 +125,8 @@ def mark(pairs, tag, contacts):
     place = np.empty(n, np.int64)
     for a in range(n):
         place[tag[a]] = a
-    total, inside = len(pairs.i), pairs.runs[-1]
-    first = np.full((2, n), total, np.int64)  # where the pairs of a disk begin: inside runs, and the rest
+    total, inside = len(pairs.i), pairs.chunks[-1]
+    first = np.full((2, n), total, np.int64)  # where the pairs of a disk begin: inside chunks, and the rest
     for c in range(total - 1, -1, -1):
         first[0 if c < inside else 1, pairs.i[c]] = c
     lost = 0

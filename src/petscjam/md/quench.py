@@ -30,7 +30,8 @@ def snapshot(run: Run) -> Packing:
     """
     state = run.state
     made_by: dict[str, Any] = {"program": "petscjam", "version": release("petscjam")}
-    made_by.update({key: run.settings[key] for key in SETTINGS if run.settings.get(key) is not None})
+    settings = run.settings.attributes
+    made_by.update({key: settings[key] for key in SETTINGS if key in settings})
     made_by.update(phi=state.phi, strain=state.strain, rate=state.rate, time=state.time)
     return replace(state.packing(), provenance=made_by)
 

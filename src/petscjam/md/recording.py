@@ -1,202 +1,221 @@
-"""The book of a run that is going on: time series, blocks, and a file that is whole at every moment."""
+"""Recording a run that is going on: time series, blocks, and a file that is whole at every moment."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
+from petscjam.base.errors import InputError
 from petscjam.base.files import atomic_h5, group
 from petscjam.base.interrupt import check
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
-from petscjam.md import kernels
+from petscjam.md.engine import CONTACTS, SAMPLED, Engine
 from petscjam.md.frames import frames_of, write_frame
-from petscjam.md.kernels import BINS, TICKS
+from petscjam.md.observables import (
+    BLOCKS,
+    CHECKPOINT,
+    ROWS,
+    ROWS_PER_BLOCK,
+    SAMPLES,
+    AbsentError,
+    BlockSums,
+    Interval,
+    Observed,
+)
 from petscjam.md.protocols import Protocol
-from petscjam.md.result import BLOCKS, MISSED, ROWS, Run, write_run
-from petscjam.md.simulation import Simulation
+from petscjam.md.result import MISSED, Run, check_arrays, write_run
+from petscjam.md.settings import Settings
 
-STRESSES = [name for name in ROWS if name.startswith(("elastic", "dissipative"))]  # as the kernel counts
-KINETIC = [name for name in ROWS if name.startswith("kinetic")]
-LOOKS = 5  # at disks and contacts, in each row
-ROWS_PER_BLOCK = 50
 EVERY = 30.0  # seconds between two checkpoints on disk
 
 
-class Book:
-    """Rows and blocks of a run that is going on."""
+class Recorder:
+    """Rows and blocks of a run that is going on.
 
-    def __init__(self, settings: dict[str, Any], simulation: Simulation) -> None:
+    Parameters
+    ----------
+    settings : Settings
+    engine : Engine
+        At the start, or where ``run`` ends.
+    run, saved : Run and mapping, optional
+        To go on with, and its checkpoint: the observables recorded are those of ``run``.
+
+    Raises
+    ------
+    InputError
+        If ``run`` has an observable that is unknown.
+    """
+
+    def __init__(
+        self, settings: Settings, engine: Engine, run: Run | None = None, saved: Mapping[str, Any] | None = None
+    ) -> None:
         self.settings = settings
-        self.layers = max(4, int(simulation.L))
+        self.layers = max(4, int(engine.L))
         self.rows: dict[str, list[float]] = {name: [] for name in ROWS}
         self.blocks: dict[str, list[Array]] = {name: [] for name in BLOCKS}
-        self.saved: dict[str, Any] = {}
-        self._open_block()
-
-    def _open_block(self) -> None:
-        self._angles = np.zeros((2, BINS), np.int64)
-        self._layers, self._moments = np.zeros((3, self.layers)), np.zeros((5, 4))
-        self._scatter = np.full((LOOKS * ROWS_PER_BLOCK, 4), np.nan)
-        self._looks = self._pairs = 0
+        self.saved = dict(saved or {})
+        self.state, self.block = engine.state, BlockSums.empty(self.layers)
+        if run is not None:
+            if unknown := (run.rows.keys() - ROWS.keys()) | (run.blocks.keys() - BLOCKS.keys()):
+                raise InputError(f"holds observables that are unknown here: {', '.join(sorted(unknown))}")
+            closed = len(run.strain) // ROWS_PER_BLOCK
+            self.rows = {name: values.tolist() for name, values in run.rows.items()}
+            self.blocks = {name: list(values[:closed]) for name, values in run.blocks.items()}
+            self.block = BlockSums.restored(self.saved)
 
     def fill(
         self,
-        simulation: Simulation,
+        engine: Engine,
         protocol: Protocol,
         total: int,
         output: str | PathLike[str] | None,
         frames: int,
         progress: Report | None,
     ) -> Run:
-        """Go on to step ``total`` of ``protocol``; write a checkpoint now and then, and at the end.
+        """Advance to step ``total`` of ``protocol``; write a checkpoint every 30 s, and at the end.
 
         Whatever ends it, the file is left with the last whole row.
+
+        Parameters
+        ----------
+        engine : Engine
+        protocol : Protocol
+        total : int
+            Time steps.
+        output : path
+            File of the run.
+        frames : int
+            Snapshots in all, evenly spaced.
+        progress : callable
+            See :mod:`petscjam.base.progress`.
+
+        Returns
+        -------
+        Run
         """
-        row_steps = self.settings["row_steps"]
+        row_steps = self.settings.row_steps
         count = -(-total // row_steps)
-        began, written, first = time.monotonic(), time.monotonic(), simulation.steps
+        began, written, first = time.monotonic(), time.monotonic(), engine.steps
         try:
-            while simulation.steps < total:
-                steps = min(row_steps, total - simulation.steps)
-                self._row(simulation, protocol, steps)
+            while engine.steps < total:
+                self._row(engine, protocol, min(row_steps, total - engine.steps))
                 row = len(self.rows["time"])
-                if len(self.rows["time"]) % ROWS_PER_BLOCK == 0:
+                if row % ROWS_PER_BLOCK == 0:
                     self._close_block()
-                self.saved = self._checkpoint(simulation)
+                self.saved = self._checkpoint(engine)
                 if output is not None and row * frames // count > (row - 1) * frames // count:
-                    write_frame(self._state, frames_of(output), row * frames // count)
+                    write_frame(self.state, frames_of(output), row * frames // count)
                 if output is not None and time.monotonic() - written > EVERY:
                     self.write(output)
                     written = time.monotonic()
                 if progress is not None:
-                    speed = (simulation.steps - first) * len(simulation.tag) / (time.monotonic() - began)
+                    speed = (engine.steps - first) * len(engine) / (time.monotonic() - began)
                     text = f"{self._text()}, {speed / 1e6:.0f} million disk steps a second"
-                    progress(simulation.steps / total, text)
+                    progress(engine.steps / total, text)
                 check()
-        except BaseException:
-            self._take_back()
+        except BaseException:  # drop what a row that was not finished added to the block
+            if self.saved:
+                self.block = BlockSums.restored(self.saved)
             raise
         finally:
             if output is not None and self.saved:
                 self.write(output)
         return self.run
 
-    def _take_back(self) -> None:
-        """Forget what a row that was not finished added to the open block."""
-        if self.saved:
-            self._angles, self._layers, self._moments, self._scatter = (
-                self.saved[f"block_{name}"].copy() for name in ("angles", "layers", "moments", "scatter")
-            )
-            self._looks, self._pairs = (int(x) for x in self.saved["block_looked"])
-
-    def _row(self, s: Simulation, protocol: Protocol, steps: int) -> None:
-        before, rebuilds, substeps = sum(s.energy()), s.rebuilds, s.substeps
-        edges = np.linspace(0, steps, min(LOOKS, steps) + 1).astype(int)
-        looked = np.zeros(7)
-        mean_rate = 0.0
-        for k in range(len(edges) - 1):
-            at = s.steps + np.arange(edges[k + 1] - edges[k])
-            rates = protocol.rates((at + 0.5) * s.dt)
-            strains = np.cumsum(np.concatenate([[s.strain], rates * s.dt]))[1:]
-            s.advance(strains, rates, protocol.bulk)
+    def _row(self, engine: Engine, protocol: Protocol, steps: int) -> None:
+        before, rebuilds, substeps = sum(engine.energy()), engine.rebuilds, engine.substeps
+        edges = np.linspace(0, steps, min(SAMPLES, steps) + 1).astype(int)
+        samples, sums, mean_rate = len(edges) - 1, np.zeros(SAMPLED), 0.0
+        sampled = {name: 0.0 for name in self.rows if ROWS[name].sample}
+        for k in range(samples):
+            at = engine.steps + np.arange(edges[k + 1] - edges[k])
+            rates = protocol.rates((at + 0.5) * engine.dt)
+            strains = np.cumsum(np.concatenate([[engine.strain], rates * engine.dt]))[1:]
+            engine.advance(strains, rates, protocol.bulk)
             mean_rate += rates.sum() / steps
-            scatter = self._scatter[self._looks]
-            looked += s.observe(self._layers, self._moments, scatter)
-            self._looks += 1
-        parts = s.most
-        total, counts, angles = s.collect()
-        self._angles += angles
-        self._pairs += looked[6]
-        n, V, looks, contacts = len(s.tag), s.L**2, len(edges) - 1, max(looked[6], 1.0)
-        spin = looked[0] / (n * looks)
-        mean = total / steps
-        values = {
-            "time": s.time,
-            "strain": s.strain,
-            "rate": mean_rate,
-            **{name: mean[index] / V for index, name in enumerate(STRESSES)},
-            **{name: mean[kernels.KXX + k] / V for k, name in enumerate(KINETIC)},
-            "contacts": 2 * mean[kernels.TOUCHING] / n,
-            "energy": sum(s.energy()),
-            "work": total[kernels.WORK] * s.dt,
-            "heat": total[kernels.HEAT] * s.dt,
-            "jumps": total[kernels.JUMPS],
-            "made": counts[0],
-            "broken": counts[1],
-            "duration": counts[2] * s.dt / TICKS,
-            "spin": spin,
-            "spin_variance": looked[1] / (n * looks) - spin**2,
-            "dvx2": looked[2] / (n * looks),
-            "vy2": looked[3] / (n * looks),
-            "normal2": looked[4] / contacts,
-            "tangential2": looked[5] / contacts,
-            "steps": s.substeps - substeps,
-            "parts": parts,
-            "rebuilds": s.rebuilds - rebuilds,
-        }
-        values["imbalance"] = values["energy"] - before - values["work"] - values["jumps"] + values["heat"]
-        for name in ROWS:
-            self.rows[name].append(float(values[name]))
+            sums += self._sample(engine, sampled)
+        parts, totals = engine.most, engine.collect()
+        self.block.angles += totals.angles
+        interval = Interval(
+            disks=len(engine),
+            area=engine.L**2,
+            dt=engine.dt,
+            time=engine.time,
+            strain=engine.strain,
+            rate=mean_rate,
+            steps=steps,
+            substeps=engine.substeps - substeps,
+            parts=parts,
+            rebuilds=engine.rebuilds - rebuilds,
+            totals=totals,
+            samples=samples,
+            sums=sums,
+            before=before,
+            energy=sum(engine.energy()),
+            sampled={name: value / samples for name, value in sampled.items()},
+        )
+        for name, values in self.rows.items():
+            values.append(float(ROWS[name].value(interval, name)))
 
-    def _block(self) -> dict[str, Array]:
-        values = {
-            "strain": self.rows["strain"][-1],
-            "samples": self._looks,
-            "making": self._angles[0],
-            "breaking": self._angles[1],
-            "layer_disks": self._layers[0],
-            "layer_vx": self._layers[1],
-            "layer_area": self._layers[2],
-            "pairs": self._pairs,
-            "first": self._moments[0],
-            "second": self._moments[1:],
-            "scatter": self._scatter,
-        }
-        return {name: np.array(values[name], dtype=float) for name in BLOCKS}
+    def _sample(self, engine: Engine, sampled: dict[str, float]) -> Array:
+        """Add a sample to the block and to ``sampled``; return its sums."""
+        block = self.block
+        sums = engine.sample(block.layers, block.moments, block.scatter[block.looked[0]])
+        block.looked += 1, int(sums[CONTACTS])
+        taken = {name: sample for name in self.blocks if (sample := BLOCKS[name].sample)}
+        if sampled or taken:
+            state = engine.state
+            rows = {name: sample for name in sampled if (sample := ROWS[name].sample)}
+            for name, take in rows.items():
+                sampled[name] += take(state)
+            for name, sample in taken.items():
+                block.sampled[name] = block.sampled.get(name, 0.0) + np.asarray(sample(state), dtype=float)
+        return sums
+
+    def _closed(self) -> dict[str, Array]:
+        self.block.strain = self.rows["strain"][-1]
+        return {name: np.array(BLOCKS[name].value(self.block, name), dtype=float) for name in self.blocks}
 
     def _close_block(self) -> None:
-        for name, value in self._block().items():
+        for name, value in self._closed().items():
             self.blocks[name].append(value)
-        self._open_block()
+        self.block = BlockSums.empty(self.layers)
 
-    def _checkpoint(self, s: Simulation) -> dict[str, Any]:
-        block = {
-            "angles": self._angles,
-            "layers": self._layers,
-            "moments": self._moments,
-            "scatter": self._scatter,
-            "looked": np.array([self._looks, self._pairs], dtype=np.int64),
-        }
-        saved = {**s.checkpoint(), **{f"block_{name}": value.copy() for name, value in block.items()}}
-        self._state = s.state
+    def _checkpoint(self, engine: Engine) -> dict[str, Any]:
+        saved = engine.checkpoint() | self.block.arrays
+        self.state = engine.state
         return saved
 
     def _text(self) -> str:
-        last = {name: values[-1] for name, values in self.rows.items()}
-        pressure = (last["elastic_xx"] + last["elastic_yy"]) / 2
-        heat, missed = (sum(self.rows[name]) for name in ("heat", "imbalance"))
-        doubt = ""
-        if 0 < MISSED * heat < abs(missed):
-            doubt = f", budget misses {abs(missed / heat):.1%} of the heat"
-        return f"strain {last['strain']:.4g}, P_el {pressure:.3g}, Z {last['contacts']:.3g}{doubt}"
+        """Say how far the run is, as far as the observables that it records tell."""
+        rows = Observed(self.rows)
+        text = f"strain {rows['strain'][-1]:.4g}"
+        with suppress(AbsentError):
+            pressure = (rows["elastic_xx"][-1] + rows["elastic_yy"][-1]) / 2
+            text += f", P_el {pressure:.3g}, Z {rows['contacts'][-1]:.3g}"
+            heat, missed = sum(rows["heat"]), sum(rows["imbalance"])
+            if 0 < MISSED * heat < abs(missed):
+                text += f", budget misses {abs(missed / heat):.1%} of the heat"
+        return text
 
     @property
     def run(self) -> Run:
         """What there is so far; the last block may be shorter."""
         blocks = {name: list(values) for name, values in self.blocks.items()}
-        if self._looks:
-            for name, value in self._block().items():
+        if self.block.looked[0]:
+            for name, value in self._closed().items():
                 blocks[name].append(value)
         return Run(
-            dict(self.settings),
+            self.settings,
             {name: np.array(values) for name, values in self.rows.items()},
             {name: np.array(values) for name, values in blocks.items()},
-            self._state,
+            self.state,
         )
 
     def write(self, output: str | PathLike[str]) -> None:
@@ -207,14 +226,24 @@ class Book:
             for name, value in self.saved.items():
                 node[name] = value
 
-    @classmethod
-    def reopened(cls, run: Run, saved: Mapping[str, Any], simulation: Simulation) -> Book:
-        """Return the book of a checkpoint."""
-        book = cls(dict(run.settings), simulation)
-        book.rows = {name: values.tolist() for name, values in run.rows.items()}
-        closed = len(run.strain) // ROWS_PER_BLOCK
-        book.blocks = {name: list(values[:closed]) for name, values in run.blocks.items()}
-        book.saved = dict(saved)
-        book._take_back()
-        book._state = run.state
-        return book
+
+def read_checkpoint(h5: Any, shapes: Mapping[str, str]) -> dict[str, Any]:
+    """Return what a run needs to go on (:meth:`Recorder.write`) from an open HDF5 file.
+
+    Parameters
+    ----------
+    h5 : file
+    shapes : mapping
+        Axes of the arrays of the engine, :attr:`petscjam.md.engine.Engine.CHECKPOINT`.
+
+    Raises
+    ------
+    InputError
+        If something is missing or damaged.
+    """
+    saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
+    whole = {"tag", "contacts", "counts", "block_angles"}
+    if "block_looked" in saved and saved["block_looked"].dtype.kind == "i":  # older files have floats, too
+        whole.add("block_looked")
+    check_arrays("checkpoint", {**shapes, **CHECKPOINT}, saved, {"block_scatter"}, whole)
+    return saved

@@ -5,7 +5,8 @@ Axes: k row (an interval of the series), b block of rows, i disk.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -17,107 +18,26 @@ from numpy.typing import ArrayLike
 from petscjam.base.errors import InputError, shown
 from petscjam.base.files import check_output, check_shapes, check_type, group, h5_format, open_h5, write_atomically
 from petscjam.base.types import Array
-from petscjam.geometry.potential import power_law
-from petscjam.md.model import model_of
+from petscjam.md.observables import BLOCKS, ROWS, AbsentError, Block, Observed, Row
+from petscjam.md.settings import Settings
 from petscjam.md.state import State
 
 FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
 MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
-BINS = 100  # of the collision angle, 3.6° each (VOT fig. 8)
 MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_N of VOT eqs. 31–34
-
-# Means over an interval unless said otherwise. The pressure tensor is VOT's eqs. 12–14: first index force or
-# velocity, second index separation; dissipative_yx is listed since model CD makes it differ from _xy.
-ROWS = {
-    "time": "τe, at the end of the interval",
-    "strain": "at the end",
-    "rate": "1/τe",
-    "elastic_xx": "m/τe²",
-    "elastic_xy": "m/τe²",
-    "elastic_yy": "m/τe²",
-    "dissipative_xx": "m/τe²",
-    "dissipative_xy": "m/τe²",
-    "dissipative_yx": "m/τe²",
-    "dissipative_yy": "m/τe²",
-    "kinetic_xx": "m/τe²",
-    "kinetic_xy": "m/τe²",
-    "kinetic_yy": "m/τe²",
-    "contacts": "Z",
-    "energy": "m ds²/τe², at the end: elastic, peculiar kinetic and rotational",
-    "work": "m ds²/τe² done by the shear stress in the interval",
-    "jumps": "m ds²/τe² brought by sudden changes of the strain rate",
-    "heat": "m ds²/τe² dissipated in the interval",
-    "imbalance": "m ds²/τe², change of energy − work − jumps + heat: what the budget misses",
-    "made": "contacts made in the interval",
-    "broken": "contacts broken",
-    "duration": "τe, sum over the contacts broken",
-    "spin": "1/τe, mean θ̇",
-    "spin_variance": "1/τe², over disks and time",
-    "dvx2": "ds²/τe² (VOT eq. 35)",
-    "vy2": "ds²/τe² (VOT eq. 36)",
-    "normal2": "ds²/τe², mean square normal velocity of contacts",
-    "tangential2": "ds²/τe²",
-    "steps": "time steps, each part counted",
-    "parts": "most parts that a time step dt was divided into",
-    "rebuilds": "neighbour lists built",
-}
-# Sums over a block; M is the number of layers in y, each about ds high.
-BLOCKS = {
-    "strain": "(B,) at the end of the block",
-    "samples": "(B,) moments at which disks and contacts were looked at",
-    "making": "(B, 100) contacts made by collision angle ϑ, from −180°",
-    "breaking": "(B, 100)",
-    "layer_disks": "(B, M) disks by layer",
-    "layer_vx": "(B, M) ds/τe, sum of vx",
-    "layer_area": "(B, M) ds², sum of disk area",
-    "pairs": "(B,) contacts looked at",
-    "first": "(B, 4) sums of V_T, V^R, V^C_T, V_N over contacts, in ds γ̇",
-    "second": "(B, 4, 4) sums of their products",
-    "scatter": "(B, S, 4) some of them, one row a contact, NaN where there were fewer",
-}
-
-
-SHAPES = {
-    "strain": "B",
-    "samples": "B",
-    "making": f"B {BINS}",
-    "breaking": f"B {BINS}",
-    "layer_disks": "B M",
-    "layer_vx": "B M",
-    "layer_area": "B M",
-    "pairs": "B",
-    "first": "B 4",
-    "second": "B 4 4",
-    "scatter": "B S 4",
-}
-CHECKPOINT = {
-    "q": "N 5",
-    "radii": "N",
-    "masses": "N",
-    "tag": "N",
-    "contacts": "C 3",
-    "numbers": "5",
-    "counts": "2",
-    "start": "T",
-    "block_angles": f"2 {BINS}",
-    "block_layers": "3 M",
-    "block_moments": "5 4",
-    "block_scatter": "S 4",
-    "block_looked": "2",
-}
-SETTINGS = {  # without which a run cannot be read
-    "model": "str",
-    "law": "str",
-    "Q": "float",
-    "protocol": "str",
-    "dt": "float",
-    "integrator": "str",
-    "potential": "str",
-    "particles": "int",
-    "phi": "float",
-    "start": "str",
-    "strain0": "float",
-    "time0": "float",
+PARTS = ("elastic", "dissipative", "kinetic")  # of the pressure tensor
+MEANS = {  # time means that a run tells, from properties of it
+    "P elastic": "pressure_elastic",
+    "Σ elastic": "stress_elastic",
+    "P": "pressure",
+    "Σ": "stress",
+    "μ": "friction",
+    "ηp": "pressure_viscosity",
+    "ησ": "viscosity",
+    "Bp": "pressure_bagnold",
+    "Bσ": "bagnold",
+    "Z": "contacts",
+    "Rv": "banding",
 }
 
 
@@ -134,20 +54,24 @@ class Run:
 
     Attributes
     ----------
-    settings : mapping
-        model, law, Q, potential, drag, spin_drag, particles, phi, protocol, rate, dt, integrator, …
+    settings : Settings
     rows : mapping of (K,) arrays
-        One value an interval: :data:`ROWS`.
+        One value an interval: :data:`petscjam.md.observables.ROWS`. An AbsentError (InputError) names one that is
+        asked for and was not recorded.
     blocks : mapping of arrays
-        Sums over blocks of intervals: :data:`BLOCKS`.
+        Sums over blocks of intervals: :data:`petscjam.md.observables.BLOCKS`; the first axis is the block.
     state : State
         At the end.
     """
 
-    settings: Mapping[str, Any]
+    settings: Settings
     rows: Mapping[str, Array]
     blocks: Mapping[str, Array]
     state: State
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", Observed(self.rows))
+        object.__setattr__(self, "blocks", Observed(self.blocks))
 
     @property
     def strain(self) -> Array:
@@ -197,12 +121,12 @@ class Run:
     @property
     def viscosity(self) -> Array:
         """ησ = QΣ/(γ̇τe) (VOT eq. 20, corrected), (K,)."""
-        return self.settings["Q"] * self.stress / self.rate
+        return self.settings.model.Q * self.stress / self.rate
 
     @property
     def pressure_viscosity(self) -> Array:
         """ηp = QP/(γ̇τe), (K,)."""
-        return self.settings["Q"] * self.pressure / self.rate
+        return self.settings.model.Q * self.pressure / self.rate
 
     @property
     def bagnold(self) -> Array:
@@ -221,7 +145,7 @@ class Run:
 
     def after(self, strain: float | None = None) -> np.ndarray:
         """Return which rows lie beyond ``strain`` from the start, (K,) bool; left out, 1/4 of the run."""
-        elapsed = np.diff(self.time, prepend=self.settings["time0"])
+        elapsed = np.diff(self.time, prepend=self.settings.time0)
         done = np.cumsum(np.abs(self.rate) * elapsed)
         return done > (done[-1] / 4 if strain is None else strain)
 
@@ -247,6 +171,23 @@ class Run:
             raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows lie after a strain of {after}")
         return Mean(float(kept.mean()), blocked_error(kept))
 
+    def means(self) -> dict[str, Mean]:
+        """Return the time means that a run tells, by symbol; those that it lacks observables for are left out.
+
+        Raises
+        ------
+        InputError
+            If the run has fewer than two rows after a quarter of it.
+        """
+        told = MEANS | {row.symbol: name for name, row in ROWS.items() if row.symbol}
+        found: dict[str, Mean] = {}
+        for symbol, name in told.items():
+            with suppress(AbsentError), np.errstate(divide="ignore", invalid="ignore"):
+                found[symbol] = self.mean(name)
+        with suppress(AbsentError):
+            found["<spin>/rate"] = self.mean(self.rows["spin"] / np.where(self.rate == 0, np.nan, self.rate))
+        return found
+
     @property
     def missed(self) -> float:
         """Share of the heat that the energy budget misses: in the run, or after a quarter if that is more."""
@@ -262,18 +203,18 @@ class Run:
     def warnings(self) -> tuple[str, ...]:
         """What makes the numbers of the run doubtful, a sentence each."""
         found, s = [], self.settings
-        if not self.missed <= MISSED:
-            share = f"{100 * self.missed:.2g} %"
-            found.append(f"the energy budget misses {share} of the heat: take a smaller dt")
-        divided = self.rows["parts"] > 1
-        if divided.any() and s["dt"] > model_of(s).step(None, s["integrator"]):
-            where = f"too large for the contacts in {divided.sum()} of {len(divided)} rows"
-            parts = f"time steps were divided into up to {self.rows['parts'].max():.0f} parts"
-            found.append(f"dt = {s['dt']:.3g} is {where}: {parts}")
+        with suppress(AbsentError):
+            if not self.missed <= MISSED:
+                share = f"{100 * self.missed:.2g} %"
+                found.append(f"the energy budget misses {share} of the heat: take a smaller dt")
+        with suppress(AbsentError):
+            parts = self.rows["parts"]
+            if (parts > 1).any() and s.dt > s.model.step(None, s.integrator):
+                found.append(
+                    f"dt = {s.dt:.3g} is too large for the contacts in {(parts > 1).sum()} of {len(parts)} rows: "
+                    f"time steps were divided into up to {parts.max():.0f} parts"
+                )
         return tuple(found)
-
-
-PARTS = ("elastic", "dissipative", "kinetic")
 
 
 def blocked_error(values: ArrayLike) -> float:
@@ -307,12 +248,14 @@ def write_run(h5: Any, run: Run) -> None:
     h5.attrs.update(format=FORMAT, schema=SCHEMA)
     if run.warnings:
         h5.attrs["warnings"] = list(run.warnings)
-    group(h5, "settings").attrs.update({k: v for k, v in run.settings.items() if v is not None})
-    for name, units, values in (("rows", ROWS, run.rows), ("blocks", BLOCKS, run.blocks)):
-        node = group(h5, name)
-        for key, array in values.items():
-            node[key] = array
-            node[key].attrs["unit"] = units[key]
+    group(h5, "settings").attrs.update(run.settings.attributes)
+    known: Mapping[str, Mapping[str, Row | Block]] = {"rows": ROWS, "blocks": BLOCKS}
+    for where, values in (("rows", run.rows), ("blocks", run.blocks)):
+        node = group(h5, where)
+        for name, array in values.items():
+            node[name] = array
+            if name in known[where]:
+                node[name].attrs["unit"] = known[where][name].unit
     node = group(h5, "state")
     for key in ("positions", "velocities", "spins", "radii"):
         node[key] = getattr(run.state, key)
@@ -320,53 +263,62 @@ def write_run(h5: Any, run: Run) -> None:
 
 
 def read_run(h5: Any) -> Run:
-    """Return the run of an open HDF5 file."""
+    """Return the run of an open HDF5 file, with the observables that it has."""
     if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in (1, SCHEMA):
         raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with schema {SCHEMA}")
-    settings = {k: v.item() if isinstance(v, np.generic) else v for k, v in h5["settings"].attrs.items()}
-    old = h5.attrs["schema"] == 1
-    rows = {key: h5["rows"][key][()] for key in ROWS if not (old and key == "parts")}
-    if old:
-        rows["parts"] = np.ones_like(rows["steps"])
-        settings["potential"] = power_law(settings.pop("exponent"), relative=True).name
-    blocks = {key: h5["blocks"][key][()] for key in BLOCKS}
-    _check(settings, rows, blocks)
+    settings = Settings.from_attributes(h5["settings"].attrs)
+    rows, blocks = _arrays(h5["rows"], ROWS), _arrays(h5["blocks"], BLOCKS)
+    for name in ("time", "strain", "rate"):
+        if name not in rows:
+            raise InputError(f"rows: {name} is missing")
+    older = {name: row.older for name, row in ROWS.items() if row.older is not None and name not in rows}
+    rows |= {name: np.full(len(rows["time"]), value) for name, value in older.items()}
+    check_arrays("rows", {name: "K" for name in rows}, rows)
+    check_arrays("blocks", {name: f"B {BLOCKS[name].shape}" for name in blocks if name in BLOCKS}, blocks, {"scatter"})
     node = h5["state"]
     arrays = {key: node[key][()] for key in ("positions", "velocities", "spins", "radii")}
-    state = State(**arrays, **dict(node.attrs), potential_name=settings["potential"])
+    state = State(**arrays, **dict(node.attrs), potential_name=settings.model.potential.name)
     return Run(settings, rows, blocks, state)
 
 
-def _check(settings: Mapping[str, Any], rows: Mapping[str, Array], blocks: Mapping[str, Array]) -> None:
-    for name, annotation in SETTINGS.items():
-        if name not in settings:
-            raise InputError(f"settings: {name} is missing")
-        check_type(f"settings: {name}", settings[name], annotation)
-    for where, values in (("rows", rows), ("blocks", blocks)):
-        for name, value in values.items():
-            check_type(f"{where}: {name}", value, "Array")
-            if name != "scatter" and not np.isfinite(value).all():
-                raise InputError(f"{where}: {name} is not finite")
-    check_shapes("rows", dict.fromkeys(rows, "K"), rows)
-    check_shapes("blocks", SHAPES, blocks)
+def _arrays(node: Any, known: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the arrays of a group, those that are known first, in their order."""
+    names = [*(name for name in known if name in node), *(name for name in node if name not in known)]
+    return {name: node[name][()] for name in names}
 
 
-def read_checkpoint(h5: Any) -> dict[str, Any]:
-    """Return what a run needs to go on (:meth:`petscjam.md.recording.Book.write`) from an open HDF5 file."""
-    saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
-    check_shapes("checkpoint", CHECKPOINT, saved)
-    whole = {"tag", "contacts", "counts", "block_angles"}
-    if saved["block_looked"].dtype.kind == "i":  # floats in older files, unless a block had just been closed
-        whole.add("block_looked")
-    for name in CHECKPOINT:
-        kind = "Integers" if name in whole else "Array"
-        check_type(f"checkpoint: {name}", saved[name], kind)
-        if name != "block_scatter" and not np.isfinite(saved[name]).all():
-            raise InputError(f"checkpoint: {name} is not finite")
-    disks, tags = saved["contacts"][:, :2], np.arange(len(saved["tag"]))
-    if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(disks, tags).all()):
-        raise InputError("checkpoint: tag or contacts name disks that there are not")
-    return saved
+def check_arrays(
+    where: str,
+    shapes: Mapping[str, str],
+    values: Mapping[str, Array],
+    holes: Container[str] = (),
+    whole: Container[str] = (),
+) -> None:
+    """Refuse arrays from a file that are not those of a run.
+
+    Parameters
+    ----------
+    where : str
+        What to call them in a message.
+    shapes : mapping
+        Axes of each (:func:`petscjam.base.files.check_shapes`).
+    values : mapping
+        The arrays.
+    holes, whole : container of str
+        Those that may have NaN; and those of integers.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or has another type or shape, or a number is not finite.
+    """
+    for name in shapes:
+        if name not in values:
+            raise InputError(f"{where}: {name} is missing")
+        check_type(f"{where}: {name}", values[name], "Integers" if name in whole else "Array")
+        if name not in holes and not np.isfinite(values[name]).all():
+            raise InputError(f"{where}: {name} is not finite")
+    check_shapes(where, shapes, values)
 
 
 def read(path: str | PathLike[str]) -> Run:
@@ -388,9 +340,22 @@ def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
 
 
 def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the time series as CSV, a column for each of :data:`ROWS`."""
+    """Write the time series as CSV, a column for each of its observables.
+
+    Parameters
+    ----------
+    run : Run
+    path : path
+    overwrite : bool
+        Replace the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or is there.
+    """
     check_output(path, overwrite=overwrite)
-    table = np.column_stack([run.rows[name] for name in ROWS])
-    lines = [f"# {name}: {text}" for name, text in ROWS.items()]
-    lines += [",".join(ROWS), *(",".join(f"{x:.16e}" for x in row) for row in table)]
+    table = np.column_stack(list(run.rows.values()))
+    lines = [f"# {name}: {ROWS[name].unit}" for name in run.rows if name in ROWS]
+    lines += [",".join(run.rows), *(",".join(f"{x:.16e}" for x in row) for row in table)]
     write_atomically(path, "\n".join([*lines, ""]).encode())

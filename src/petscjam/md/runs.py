@@ -5,34 +5,37 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from petscjam.base import ranges
 from petscjam.base.compiled import build, use_threads
 from petscjam.base.errors import DoubtfulWarning, InputError
-from petscjam.base.files import check_output, open_h5
+from petscjam.base.files import check_output, naming, open_h5
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_ROWS, MOST_STEPS
 from petscjam.base.versions import release
 from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import protocols
+from petscjam.md.engine import Engine
 from petscjam.md.frames import frames_of, remove_frames
-from petscjam.md.model import model as model_of
+from petscjam.md.model import Model
 from petscjam.md.protocols import Protocol
-from petscjam.md.recording import Book
-from petscjam.md.result import Run, read_checkpoint, read_run
+from petscjam.md.recording import Recorder, read_checkpoint
+from petscjam.md.result import Run, read_run
+from petscjam.md.settings import Settings
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import Start, first_state, given_state
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
 from petscjam.rows.damping import DampingLaw
 
+ENGINES: dict[str, type[Engine]] = {"cpu": Simulation}
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
 BUILD = ("version", "numba", "processor")  # settings that change no more than the last bits
 OWN = ("threads", "cycles", *BUILD)  # settings that a resumed run may change
@@ -147,6 +150,7 @@ def run(
     overwrite: bool = False,
     frames: int = 0,
     progress: Report | None = None,
+    engine: str = "cpu",
 ) -> Run:
     """Shear disks along any protocol; parameters that are not listed are those of :func:`shear`.
 
@@ -175,6 +179,8 @@ def run(
         (:func:`petscjam.md.frames.write_frame`).
     progress : callable
         See :mod:`petscjam.base.progress`.
+    engine : str
+        A name of :data:`ENGINES`.
     """
     use_threads(threads)
     ranges.SEED.check("shear: the seed", seed)
@@ -189,56 +195,39 @@ def run(
             if frames:
                 held.enter_context(made_folder(frames_of(output)))
                 held.enter_context(claimed(frames_of(output)))
-        earlier = _reopened(output) if output is not None and resume and Path(output).exists() else None
+        kind = ENGINES[engine]
+        earlier = _earlier(output, kind) if output is not None and resume and Path(output).exists() else None
+        there = None if earlier is None else earlier.run.settings
         given, origin = given_state(start)
-        first = given if earlier is None else earlier[0].state
+        first = given if earlier is None else earlier.run.state
         potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
         if exponent is not None:
             potential = power_law(exponent, potential.relative)
-        law = model_of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
-        there: Mapping[str, Any] = {} if earlier is None else earlier[0].settings
-        dt = float(there["dt"]) if dt is None and there else law.step(dt, integrator)
-        total, row_steps = _lengths(protocol, dt, row_time, there.get("row_steps"))
-        settings = {
-            "model": law.name,
-            "law": law.law.name,
-            **asdict(law.law),
-            "Q": float(Q),
-            "potential": potential.name,
-            "drag": float(drag),
-            "spin_drag": float(spin_drag),
-            "protocol": protocol.name,
-            **protocol.settings,
-            "bulk": protocol.bulk,
-            "dt": dt,
-            "integrator": integrator,
-            "row_steps": row_steps,
-            "threads": threads,
-            "version": release("petscjam"),
-            **build(),
-        }
-        asked: dict[str, Any] = {"particles": n, "phi": phi}
-        asked |= {"seed": seed} if given is None else {"start": origin}
+        law = Model.of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
+        dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
+        total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)
+        made: dict[str, Any] = {"dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads}
+        made |= {"protocol": protocol.name, "history": protocol.settings, "bulk": protocol.bulk}
+        made |= {"version": release("petscjam"), **build()}
         if earlier is not None:
-            _check_settings(output, earlier[0], settings | asked)
-            simulation = Simulation.restored(earlier[1], law, dt, integrator, threads)
-            if total > simulation.steps:
-                there = {**there, **protocol.settings}
-            book = Book.reopened(replace(earlier[0], settings=there), earlier[1], simulation)
-            _note_build(output, book.settings, settings)
+            asked = {"particles": n, "phi": phi} | ({"seed": seed} if given is None else {"start": origin})
+            earlier.check(replace(earlier.run.settings, model=law, **made).attributes | asked)
+            with naming(earlier.file):
+                disks = kind.restored(earlier.saved, law, dt, integrator, threads)
+                latest = {name: made[name] for name in (*BUILD, *["history"] * (total > disks.steps))}
+                recorder = Recorder(replace(earlier.run.settings, **latest), disks, earlier.run, earlier.saved)
         else:
             first = first_state(given, origin, n, phi, seed, law, protocol)
-            settings.update(
-                asked, particles=len(first), phi=first.phi, start=origin, strain0=first.strain, time0=first.time
-            )
-            simulation = Simulation(first, law, dt, integrator, threads)
-            book = Book(settings, simulation)
+            made |= {"start": origin, "strain0": first.strain, "time0": first.time}
+            made |= {"particles": len(first), "phi": first.phi, "seed": seed if given is None else None}
+            disks = kind(first, law, dt, integrator, threads)
+            recorder = Recorder(Settings(law, **made), disks)
             if output is not None:
                 remove_frames(output, overwrite=overwrite)
-        made = book.fill(simulation, protocol, total, output, frames, progress)
-        for text in made.warnings:
+        done = recorder.fill(disks, protocol, total, output, frames, progress)
+        for text in done.warnings:
             warnings.warn(text, DoubtfulWarning, stacklevel=3)
-        return made
+        return done
 
 
 def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int | None) -> tuple[int, int]:
@@ -269,29 +258,36 @@ def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int
     return total, row_steps
 
 
-def _reopened(output: str | PathLike[str]) -> tuple[Run, dict[str, Any]]:
-    """Return the run of a file, and its checkpoint."""
+class _Earlier(NamedTuple):
+    """A run to go on with, and its checkpoint."""
+
+    file: str | PathLike[str]
+    run: Run
+    saved: dict[str, Any]
+
+    def check(self, asked: Mapping[str, Any]) -> None:
+        """Refuse to go on with other settings, None agrees with all; warn if it is with another build."""
+        settings = self.run.settings.attributes
+        for name, value in asked.items():
+            there: Any = settings.get(name)
+            if name == "strains":  # the last may be longer
+                there, value = there[:-1], value[:-1]
+            if value is None or name in OWN or (name == "seed" and there is None):
+                continue
+            if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):
+                raise InputError(f"{self.file}: was made with {name} = {there}, not {value}; it cannot be resumed")
+        changed = [
+            f"{name} {settings[name]}, now {asked[name]}"
+            for name in BUILD
+            if settings.get(name) not in (None, asked[name])
+        ]
+        if changed:
+            warnings.warn(f"{self.file}: was made with {'; '.join(changed)}: the last bits may differ", stacklevel=4)
+
+
+def _earlier(output: str | PathLike[str], engine: type[Engine]) -> _Earlier:
+    """Return the run of a file."""
     with open_h5(output) as h5:
         if h5.attrs.get("schema") == 1:
             raise InputError("was made by an older petscjam; it cannot be resumed, but be a start")
-        return read_run(h5), read_checkpoint(h5)
-
-
-def _check_settings(output: str | PathLike[str] | None, run: Run, asked: Mapping[str, Any]) -> None:
-    """Refuse to go on with a run that was made with other settings; None agrees with all."""
-    for name, value in asked.items():
-        there: Any = run.settings.get(name)
-        if name == "strains":  # the last may be longer
-            there, value = there[:-1], value[:-1]
-        if value is None or name in OWN or (name == "seed" and there is None):
-            continue
-        if not (np.allclose(there, value, rtol=1e-9) if name == "phi" else np.array_equal(there, value)):
-            raise InputError(f"{output}: was made with {name} = {there}, not {value}; it cannot be resumed")
-
-
-def _note_build(output: str | PathLike[str] | None, there: dict[str, Any], here: Mapping[str, Any]) -> None:
-    """Say that a run goes on elsewhere, where it does: not bit for bit then. The file keeps the latest."""
-    changed = [f"{name} {there[name]}, now {here[name]}" for name in BUILD if there.get(name) not in (None, here[name])]
-    if changed:
-        warnings.warn(f"{output}: was made with {'; '.join(changed)}: the last bits may differ", stacklevel=4)
-    there |= {name: here[name] for name in BUILD}
+        return _Earlier(output, read_run(h5), read_checkpoint(h5, engine.CHECKPOINT))

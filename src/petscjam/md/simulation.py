@@ -1,11 +1,12 @@
-"""A simulation in progress: disks, their list of pairs, and the sums of what was measured.
+"""The engine of the CPU: disks, their list of pairs, and the sums of what was measured.
 
 Axes: i disk, x Cartesian, k step.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,8 @@ from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.types import Array
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.md import kernels
-from petscjam.md.kernels import BINS, HEUN, SINGLE, SUMS, TICKS, Disks, Events, Law
+from petscjam.md.engine import BINS, DXY, DYX, HEAT, JUMPS, KXX, SAMPLED, SUMS, TICKS, TOUCHING, WORK, Totals
+from petscjam.md.kernels import HEUN, SINGLE, Disks, Law, Measured, Moment, Scheme
 from petscjam.md.model import BULK, Model, stable_step
 from petscjam.md.neighbours import list_pairs, mark, open_contacts, order_in_space, wrap
 from petscjam.md.state import State
@@ -26,10 +28,10 @@ BALANCE = {"heun": 1.3, "single": 2.6}  # cost of a build over that of the pairs
 
 
 class Simulation:
-    """Disks under shear, advanced step by step.
+    """Disks under shear, advanced step by step: an :class:`petscjam.md.engine.Engine`.
 
-    A step is divided into parts, a power of 2, where the contacts demand it (:meth:`demand`): they are asked
-    at each new list of pairs. ``parts`` is that number now, ``substeps`` how many were made, ``most`` the
+    A step is divided into parts, a power of 2, where the contacts demand it (:meth:`demand`), which is found
+    anew with each list of pairs. ``parts`` is that number now, ``substeps`` how many were made, ``most`` the
     largest number since the last :meth:`collect`.
 
     Parameters
@@ -51,6 +53,17 @@ class Simulation:
     SolverError
         If the contacts demand steps below a thousandth of dt.
     """
+
+    CHECKPOINT: ClassVar[Mapping[str, str]] = {
+        "q": "N 5",
+        "radii": "N",
+        "masses": "N",
+        "tag": "N",
+        "contacts": "C 3",
+        "numbers": "5",
+        "counts": "2",
+        "start": "T",
+    }
 
     def __init__(
         self,
@@ -90,13 +103,16 @@ class Simulation:
         self._widest = state.length / 2 - float(np.sort(state.radii)[-2:].sum())
         if self._widest < SKINS[0]:
             raise InputError(f"shear: a cell of {state.length:.3g} is too small for disks of these sizes")
-        runs = (n - 1) // CHUNK + 1
-        self._sums = np.zeros((runs + 1, SUMS))
-        self._events = Events(np.zeros((runs + 1, 3), np.int64), np.zeros((runs + 1, 2, BINS), np.int64))
-        self._total = np.zeros(SUMS)
+        rows = (n - 1) // CHUNK + 2
+        counts, angles = np.zeros((rows, 3), np.int64), np.zeros((rows, 2, BINS), np.int64)
+        self._measured = Measured(np.zeros((rows, SUMS)), counts, angles, np.zeros(SUMS))
         self._build(np.empty((0, 3), np.int64))
         self._divided, self.most = self.parts, 1
-        self._see()
+        self._start = self._now()
+        self._forget_events()  # what touches at the start was not made
+
+    def __len__(self) -> int:
+        return len(self.tag)
 
     def _build(self, contacts: NDArray[np.int64]) -> None:
         """Sort the disks and list their pairs, ``contacts`` among them (:func:`open_contacts`)."""
@@ -108,19 +124,18 @@ class Simulation:
         q = d.q[order]
         self._disks = d = Disks(q, d.p, d.F, d.R[order], d.m[order], q[:, :2].copy())
         self._pairs = list_pairs(d.home, d.R, self.L, self.strain, self.skin)
-        self._built, self._since = self.strain, self.substeps
+        self._since = self.substeps
         self.rebuilds += 1
         if mark(self._pairs, self.tag, contacts):
             raise SolverError(f"shear: a contact was lost at a strain of {self.strain:.6g}; take a smaller dt")
         self.parts = self.demand()
 
     def fastest(self) -> tuple[float, float]:
-        """Bound the largest eigenvalues of M⁻¹B, in 1/τe, and M⁻¹K, in 1/τe², with the contacts at hand."""
-        d, exponent = self._disks, self.model.potential.exponent
-        return kernels.fastest(d.q, d.R, d.m, self._pairs, self._law, exponent, self.L, self.strain)
+        """Bound the largest eigenvalues of M⁻¹B, in 1/τe, and M⁻¹K, in 1/τe², with the contacts of the moment."""
+        return kernels.fastest(self._disks, self._pairs, self._law, self.model.potential.exponent, self.strain)
 
     def demand(self) -> int:
-        """Return into how many parts a step must be divided to be stable with the contacts at hand."""
+        """Return into how many parts a step must be divided to be stable with the contacts of the moment."""
         largest, parts = stable_step(self.integrator, *self.fastest()), 1
         while self.dt > parts * largest:
             parts *= 2
@@ -137,7 +152,7 @@ class Simulation:
         A wider skin costs pairs at each step, a narrower one more builds: the cost is least where a skin
         of s lasts as long as s² says.
         """
-        d, shear = self._disks, self.strain - self._built
+        d, shear = self._disks, self.strain - self._pairs.strain
         if self.substeps > self._since:
             away = d.q[:, :2] - d.home
             away[:, 0] -= shear * d.q[:, 1]
@@ -167,52 +182,41 @@ class Simulation:
         rates = np.concatenate([[self.rate], rates])
         if BULK[bulk] == 1 and (rates[:-1] == 0).any() and (rates[1:] != rates[:-1]).any():
             raise InputError("shear: velocities cannot be scaled from a strain rate of 0; choose another bulk")
-        done, count = 0, len(rates) - 1
-        while done < count:
-            parts = self._begin()
-            fine = np.concatenate([[self.rate], np.repeat(rates[done + 1 :], parts)])
-            at = np.interp(np.arange(len(fine)) / parts, np.arange(count - done + 1), strains[done:])
-            made, tried = 0, False
-            while made < len(fine) - 1 and (self.parts == parts or made % parts):
-                # once other parts are demanded, finish the step that was begun
-                end = len(fine) if self.parts == parts else made + parts - made % parts + 1
-                some = kernels.advance(
-                    self._disks,
-                    self._pairs,
-                    self._law,
-                    self.L,
-                    self.dt,
-                    parts,
-                    SCHEMES[self.integrator],
-                    at[made:end],
-                    fine[made:end],
-                    BULK[bulk],
-                    self._built,
-                    self.skin,
-                    self._threads,
-                    self.steps * TICKS + made % parts * (TICKS // parts),
-                    self._sums,
-                    self._events,
-                    self._total,
-                )
-                self.steps += (made + some) // parts - made // parts
-                made += some
-                self.substeps += some
-                self.time += some * self.dt / parts
-                self.strain, self.rate = float(at[made]), float(fine[made])
-                if made < end - 1:
-                    self._widen() if some == 0 and tried else self.rebuild()
-                    tried = some == 0
-            done += made // parts
-        fluid = self.model.fluid * self.L**2
-        self._total[[kernels.DXY, kernels.DYX]] -= fluid * rates[1:].sum()
-        self._total[[kernels.HEAT, kernels.WORK]] += fluid * (rates[1:] ** 2).sum()
+        done = 0
+        while done < len(rates) - 1:
+            done += self._advance(strains[done:], np.append(self.rate, rates[done + 1 :]), bulk)
+        fluid, total = self.model.fluid * self.L**2, self._measured.total
+        total[[DXY, DYX]] -= fluid * rates[1:].sum()
+        total[[HEAT, WORK]] += fluid * (rates[1:] ** 2).sum()
         self._check()
+
+    def _advance(self, strains: Array, rates: Array, bulk: str) -> int:
+        """Make steps until other parts of them are demanded; return how many, the last one finished."""
+        parts = self._begin()
+        scheme = Scheme(SCHEMES[self.integrator], self.dt / parts, parts, BULK[bulk], self._threads)
+        fine = np.concatenate([rates[:1], np.repeat(rates[1:], parts)])
+        at = np.interp(np.arange(len(fine)) / parts, np.arange(len(strains)), strains)
+        made, tried = 0, False
+        while made < len(fine) - 1 and (self.parts == parts or made % parts):
+            end = len(fine) if self.parts == parts else made + parts - made % parts + 1
+            tick = self.steps * TICKS + made % parts * (TICKS // parts)
+            some = kernels.advance(
+                self._disks, self._pairs, self._law, scheme, at[made:end], fine[made:end], tick, self._measured
+            )
+            self.steps += (made + some) // parts - made // parts
+            made += some
+            self.substeps += some
+            self.time += some * scheme.dt
+            self.strain, self.rate = float(at[made]), float(fine[made])
+            if made < end - 1:
+                self._widen() if some == 0 and tried else self.rebuild()
+                tried = some == 0
+        return made // parts
 
     def _begin(self) -> int:
         """Begin to divide steps as is demanded; return into how many parts."""
         if self.parts != self._divided:
-            self._total, self._start = self._closed()
+            self._measured.total[:], self._start = self._closed()
             self._divided = self.parts
         self.most = max(self.most, self.parts)
         return self.parts
@@ -233,78 +237,56 @@ class Simulation:
                 f"shear: velocities grew without bound at a strain of {self.strain:.6g}; take a smaller dt"
             )
 
-    def _look(self) -> Array:
-        """Return the sums at this moment, and book contacts that have just begun or ceased to touch."""
-        d, now = self._disks, np.zeros(SUMS)
+    @property
+    def _moment(self) -> Moment:
+        return Moment(self.strain, self.rate, self.steps * TICKS)
+
+    def _now(self) -> Array:
+        """Return the sums at this moment, and record contacts that have just begun or ceased to touch."""
+        d, now, sums = self._disks, np.zeros(SUMS), self._measured.sums
         d.F[:] = 0.0
-        kernels.forces(
-            d.q,
-            d.F,
-            d,
-            self._pairs,
-            self._law,
-            self.L,
-            self.strain,
-            self.rate,
-            self._threads,
-            True,
-            self.steps * TICKS,
-            self._sums,
-            self._events,
-        )
-        self._sums[:, kernels.KXX : kernels.WORK] = 0.0
-        kernels.kinetic(d.q, d.m, self.rate, self._sums)
-        kernels.book(self._sums, self.rate, 1.0, now)
-        self._sums[-1] = 0.0
+        kernels.forces(d.q, d, self._pairs, self._law, self._moment, self._threads, True, self._measured)
+        sums[:, KXX:WORK] = 0.0
+        kernels.kinetic(d.q, d.m, self.rate, sums)
+        kernels.record(sums, self.rate, 1.0, now)
+        sums[-1] = 0.0
         return now
 
-    def _see(self) -> None:
-        """Take what touches now for contacts, without any event, and start to measure."""
-        self._start = self._look()
-        self._events.counts[:] = 0
-        self._events.angles[:] = 0
+    def _forget_events(self) -> None:
+        self._measured.counts[:] = 0
+        self._measured.angles[:] = 0
 
     def energy(self) -> tuple[float, float, float]:
         """Return the elastic, the peculiar kinetic and the rotational energy, in m ds²/τe²."""
         d = self._disks
         exponent = self.model.potential.exponent
-        elastic = kernels.elastic_energy(d.q, self._pairs, self._law, exponent, self.L, self.strain)
+        elastic = kernels.elastic_energy(d.q, self._pairs, self._law, exponent, self.strain)
         c = d.q[:, 2:4].copy()
         c[:, 0] -= self.rate * d.q[:, 1]
         return float(elastic), float(d.m @ (c**2).sum(1)) / 2, float(d.m @ d.q[:, 4] ** 2) / 4
 
-    def collect(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Return what was summed since the last call, over steps, and begin anew.
-
-        Returns
-        -------
-        total : (SUMS,)
-            By the trapezoidal rule, but for TOUCHING (which belongs to the events) and JUMPS.
-        counts : (3,)
-            Contacts made, broken, and how long the latter lasted, in ticks, :data:`TICKS` a step.
-        angles : (2, 100)
-            Histograms of the collision angle at making and at breaking.
-        """
-        total, self._start = self._closed()
-        counts, angles = self._events.counts.sum(0), self._events.angles.sum(0)
-        self._events.counts[:] = 0
-        self._events.angles[:] = 0
-        self._total[:] = 0.0
+    def collect(self) -> Totals:
+        """Return the sums over the steps since the last call, and begin anew."""
+        sums, self._start = self._closed()
+        totals = Totals(sums, self._measured.counts.sum(0), self._measured.angles.sum(0))
+        self._forget_events()
+        self._measured.total[:] = 0.0
         self.most = 1
-        return total, counts, angles
+        return totals
 
     def _closed(self) -> tuple[Array, Array]:
         """Return what was summed, by the trapezoidal rule, and the sums at this moment."""
-        end = self._look()
+        end = self._now()
         half = 0.5 * (end - self._start) * (1 if self.integrator == "heun" else -1) / self._divided
-        half[[kernels.TOUCHING, kernels.JUMPS]] = 0.0
-        return self._total + half, end
+        half[[TOUCHING, JUMPS]] = 0.0
+        return self._measured.total + half, end
 
-    def observe(self, layers: Array, moments: Array, scatter: Array) -> Array:
-        """Look at every disk and contact once (:func:`petscjam.md.kernels.observe`)."""
-        d = self._disks
-        pick = (self.steps * 2654435761) % 2**31  # spread over the contacts, the same after a restart
-        return kernels.observe(d.q, d.R, self._pairs, self.L, self.strain, self.rate, pick, layers, moments, scatter)
+    def sample(self, layers: Array, moments: Array, scatter: Array) -> Array:
+        """Add what disks and contacts do at this moment (:meth:`petscjam.md.engine.Engine.sample`)."""
+        sums = np.zeros(SAMPLED)
+        kernels.sample_disks(self._disks, self.L, self.rate, layers, sums)
+        kernels.sample_contacts(self._disks.q, self._pairs, self._moment, moments, scatter, sums)
+        return sums
 
     @property
     def state(self) -> State:
@@ -318,9 +300,9 @@ class Simulation:
         )
 
     def checkpoint(self) -> dict[str, Any]:
-        """Build a new list; return all that :meth:`restored` needs to go on as if nothing had happened.
+        """Build a new list; return all that :meth:`restored` needs to go on bit for bit.
 
-        Call :meth:`collect` first: it books the contacts that the last step made and broke.
+        Call :meth:`collect` first: it records the contacts that the last step made and broke.
         """
         self.rebuild()
         self._divided = self.parts
@@ -337,9 +319,19 @@ class Simulation:
         }
 
     @classmethod
-    def restored(cls, saved: dict[str, Any], model: Model, dt: float, integrator: str, threads: int = 1) -> Simulation:
-        """Return the simulation of a :meth:`checkpoint`."""
-        q, radii = saved["q"], saved["radii"]
+    def restored(
+        cls, saved: Mapping[str, Any], model: Model, dt: float, integrator: str, threads: int = 1
+    ) -> Simulation:
+        """Return the simulation of a :meth:`checkpoint`.
+
+        Raises
+        ------
+        InputError
+            If its contacts are not those of its disks.
+        """
+        q, radii, tags = saved["q"], saved["radii"], np.arange(len(saved["tag"]))
+        if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(saved["contacts"][:, :2], tags).all()):
+            raise InputError("checkpoint: tag or contacts name disks that there are not")
         L, strain, rate, time, skin = (float(x) for x in saved["numbers"])
         state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, L, strain, rate, time)
         new = cls(state, model, dt, integrator, threads, saved["masses"])

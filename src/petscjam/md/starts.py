@@ -93,7 +93,7 @@ def given_state(start: Start) -> tuple[State | None, str]:
 
 
 def _of(run: Run) -> str:
-    name, start, state = run.settings["model"], run.settings["start"], run.state
+    name, start, state = run.settings.model.name, run.settings.start, run.state
     return f"{name} from {start} at γ̇ = {state.rate:.4g}, γ = {state.strain:.6g}"
 
 

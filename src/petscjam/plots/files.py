@@ -30,7 +30,7 @@ def _draw_library(library: Library, path: Path) -> None:
 
 
 def _draw_run(run: Run, path: Path) -> None:
-    (plot_ramp if run.settings["protocol"] == "ramp" else plot_run)(run, path)
+    (plot_ramp if run.settings.protocol == "ramp" else plot_run)(run, path)
 
 
 CONTENTS = {

@@ -21,17 +21,6 @@ from petscjam.plots.packing import OUTLINED
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
 DEFAULT = "harmonic-relative"  # VOT's: not told
 VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
-MEANS = (
-    ("P", "pressure"),
-    ("Σ", "stress"),
-    ("P elastic", "pressure_elastic"),
-    ("Σ elastic", "stress_elastic"),
-    ("μ", "friction"),
-    ("Z", "contacts"),
-    ("ηp", "pressure_viscosity"),
-    ("Bp", "pressure_bagnold"),
-    ("Rv", "banding"),
-)
 
 
 def _number(value: float) -> str:
@@ -47,8 +36,8 @@ def _number(value: float) -> str:
 def _title(run: Run) -> str:
     s = run.settings
     repulsion = f", {run.state.potential_name}" * (run.state.potential_name != DEFAULT)
-    size = f"{s['particles']} disks{repulsion}"
-    return rf"{_model(s['model'])}, {size}, $\phi$ = {s['phi']:.5g}, $Q$ = {_number(s['Q'])}"
+    size = f"{s.particles} disks{repulsion}"
+    return rf"{_model(s.model.name)}, {size}, $\phi$ = {s.phi:.5g}, $Q$ = {_number(s.model.Q)}"
 
 
 def _model(name: str) -> str:
@@ -86,7 +75,7 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
     _draw_angles(panels[1, 3], run)
     _draw_velocities(panels[2, :3], run)
     _draw_means(panels[2, 3], run)
-    rate = run.settings["rate"]
+    rate = run.settings.history["rate"]
     figure.suptitle(rf"{_title(run)}, $\dot\gamma\tau_e$ = {_number(rate)}", fontsize=13)
     _warn(figure, run.warnings)
     save(figure, path)
@@ -94,7 +83,7 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
 
 def _draw_series(panels: Any, run: Run) -> None:
     stresses, contacts, friction, energy = panels
-    strain = np.append(run.settings["strain0"], run.strain)
+    strain = np.append(run.settings.strain0, run.strain)
     to_and_fro = not (np.diff(strain) > 0).all() and not (np.diff(strain) < 0).all()
     x, label = (run.time, r"time $t/\tau_e$") if to_and_fro else (run.strain, r"strain $\gamma$")
     for name, values, elastic, colour in (
@@ -123,7 +112,7 @@ def _draw_series(panels: Any, run: Run) -> None:
     energy.semilogy(x, np.where(imbalance > 0, imbalance, np.nan), color=GREY, lw=1.1)
     energy.set(ylabel="energy not accounted for / heat")
     for axes in panels:
-        start = run.settings["time0" if to_and_fro else "strain0"]
+        start = run.settings.time0 if to_and_fro else run.settings.strain0
         axes.axvspan(start, x[np.argmax(run.after())], color="0.93", lw=0, zorder=0)
         axes.set(xlabel=label, xlim=sorted((start, x[-1])))
 
@@ -228,11 +217,8 @@ def _draw_means(axes: Any, run: Run) -> None:
     if run.after().sum() < 2:
         lines.append("the run is too short")
     else:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            means = [(name, run.mean(key)) for name, key in MEANS]
-            if run.rows["spin"].any():
-                means.append(("spin/rate", run.mean(run.rows["spin"] / run.rate)))
-        lines += [f"{name:10s} {m.value:11.4g} ± {m.error:.2g}" for name, m in means if np.isfinite(m.value)]
+        told = run.means().items()
+        lines += [f"{name:10s} {m.value:11.4g} ± {m.error:.2g}" for name, m in told if np.isfinite(m.value)]
     if b := _two_bands(run):
         lines += ["", "two bands:"]
         for rate, share, middle in zip(b.rates, b.shares, b.centres, strict=True):
@@ -316,12 +302,12 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
     """
     from matplotlib.figure import Figure
 
-    if run.settings["protocol"] != "ramp":
-        raise InputError(f"plot: the run is no ramp, but of the protocol {run.settings['protocol']!r}")
+    if run.settings.protocol != "ramp":
+        raise InputError(f"plot: the run is no ramp, but of the protocol {run.settings.protocol!r}")
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     panels = figure.subplots(1, 2)
     rate = np.abs(run.rate)
-    up = np.diff(rate, prepend=run.settings["rate"]) >= 0
+    up = np.diff(rate, prepend=run.settings.history["rate"]) >= 0
     for axes, values, name in (
         (panels[0], np.abs(run.stress), r"shear stress $\Sigma$  ($m/\tau_e^2$)"),
         (panels[1], run.pressure, r"pressure $P$  ($m/\tau_e^2$)"),
@@ -332,7 +318,7 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
             axes.plot(rate[good], values[good], "o", color=colour, mfc=face, ms=4.5, mew=0.9, label=text)
         _draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
         axes.legend(frameon=False, loc="lower right")
-    figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings['kappa'])}", fontsize=12)
+    figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings.history['kappa'])}", fontsize=12)
     _warn(figure, run.warnings)
     save(figure, path)
 
@@ -369,7 +355,7 @@ CURVES: tuple[tuple[str, str, Callable[[Run], Any]], ...] = (
     (
         r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$",
         "log",
-        lambda run: run.settings["Q"] * run.pressure_elastic / run.rate,
+        lambda run: run.settings.model.Q * run.pressure_elastic / run.rate,
     ),
     (r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$", "log", lambda run: run.pressure_elastic / run.rate**2),
     (r"$R_v = \langle\delta v_x^2\rangle/\langle v_y^2\rangle$", "log", lambda run: run.banding),
@@ -398,8 +384,8 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
     if not runs:
         raise InputError("plot: there are no runs")
     for name, run in runs.items():
-        if run.settings["protocol"] != "steady":
-            raise InputError(f"plot: {name} is no steady run, but a {run.settings['protocol']}")
+        if run.settings.protocol != "steady":
+            raise InputError(f"plot: {name} is no steady run, but a {run.settings.protocol}")
     x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
     others = [key for key in ("model", "potential", "particles", "phi", "Q", "rate") if key != x]
     curves: dict[tuple, dict[float, list[Run]]] = {}
@@ -435,9 +421,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
 
 def _setting(run: Run, key: str) -> Any:
     """Return a setting, to six digits: packing fractions are as exact as cells are."""
-    if key == "potential":
-        return run.state.potential_name
-    value = run.settings[key]
+    value = run.settings.attributes[key]
     return float(f"{value:.6g}") if key in AXES else value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from petscjam.analysis.statistics import alike, nominal, standard_error
 from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.md.result import Run
+from petscjam.md.observables import AbsentError
+from petscjam.md.result import MEANS, Run
 from petscjam.preparation.library import Library
 from petscjam.response.origin import Result
 from petscjam.response.result import ComplexModulus
@@ -108,54 +110,51 @@ def describe_library(library: Library) -> str:
     return "\n".join(lines)
 
 
-MEANS = {
-    "P elastic": "pressure_elastic",
-    "Σ elastic": "stress_elastic",
-    "P": "pressure",
-    "Σ": "stress",
-    "μ": "friction",
-    "ηp": "pressure_viscosity",
-    "ησ": "viscosity",
-    "Bp": "pressure_bagnold",
-    "Bσ": "bagnold",
-    "Z": "contacts",
-    "Rv": "banding",
-}
-
-
 def describe_run(run: Run) -> str:
-    """Return a few lines on a sheared run: settings, means with their errors, contacts, energy budget."""
-    s, rows = run.settings, run.rows
+    """Return a few lines on a sheared run: settings, means with their errors, contacts, energy budget.
+
+    What the run lacks observables for is left out.
+    """
+    s = run.settings
     lines = [
         "units: ds, m, tau_e; means ± standard errors leave out the first quarter",
-        f"{s['model']}, {s['potential']}, {s['particles']} disks, phi = {s['phi']:.6g}, Q = {s['Q']:g}; "
-        f"{s['protocol']}, dt = {s['dt']:.4g}, {s['integrator']}; start: {s['start']}",
-        f"strain {s['strain0']:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
+        f"{s.model.name}, {s.model.potential.name}, {s.particles} disks, phi = {s.phi:.6g}, Q = {s.model.Q:g}; "
+        f"{s.protocol}, dt = {s.dt:.4g}, {s.integrator}; start: {s.start}",
+        f"strain {s.strain0:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
     ]
-    kept = run.after()
-    if kept.sum() > 1:
-        for name, what in MEANS.items():
-            with np.errstate(divide="ignore", invalid="ignore"):
-                mean = run.mean(what)
-            lines.append(f"{name:12s} {mean.value:.4g} ± {mean.error:.1g}")
-        spin = run.mean(rows["spin"] / np.where(run.rate == 0, np.nan, run.rate))
-        lines.append(f"{'<spin>/rate':12s} {spin.value:.4g} ± {spin.error:.1g}")
-        elapsed = np.diff(run.time, prepend=s["time0"])[kept].sum()
-        broken, made = rows["broken"][kept].sum(), rows["made"][kept].sum()
-        if broken:
-            duration, often = rows["duration"][kept].sum() / broken, made / (elapsed * s["particles"])
-            lines.append(
-                f"contacts last {duration:.4g} and {often:.4g} a disk are made per tau_e: 2 × both = "
-                f"{2 * duration * often:.4g} (Z, but for those that outlast the run)"
-            )
-    heat, missed = rows["heat"].sum(), rows["imbalance"].sum()
-    lines.append(f"energy budget: {heat:.4g} dissipated, {missed:.1e} unaccounted for")
-    if (parts := rows["parts"].max()) > 1:
-        more = rows["steps"].sum() / (run.time[-1] - s["time0"]) * s["dt"]
-        where = "parts where contacts demand it"
-        lines.append(f"time steps divided into up to {parts:.0f} {where}: {more:.4g} times as many")
+    if run.after().sum() > 1:
+        lines += [f"{symbol:12s} {mean.value:.4g} ± {mean.error:.1g}" for symbol, mean in run.means().items()]
+    for describe in (_lifetimes, _budget, _parts):
+        with suppress(AbsentError):
+            lines += describe(run)
     return "\n".join([*lines, *(f"WARNING: {text}" for text in run.warnings)])
+
+
+def _lifetimes(run: Run) -> list[str]:
+    kept, particles = run.after(), run.settings.particles
+    elapsed = np.diff(run.time, prepend=run.settings.time0)[kept].sum()
+    broken, made, duration = (run.rows[name][kept].sum() for name in ("broken", "made", "duration"))
+    if kept.sum() < 2 or not broken:
+        return []
+    each, often = duration / broken, made / (elapsed * particles)
+    return [
+        f"contacts last {each:.4g} and {often:.4g} a disk are made per tau_e: 2 × both = {2 * each * often:.4g} "
+        "(Z, but for those that outlast the run)"
+    ]
+
+
+def _budget(run: Run) -> list[str]:
+    heat, missed = run.rows["heat"].sum(), run.rows["imbalance"].sum()
+    return [f"energy budget: {heat:.4g} dissipated, {missed:.1e} unaccounted for"]
+
+
+def _parts(run: Run) -> list[str]:
+    s, parts = run.settings, run.rows["parts"].max()
+    if parts <= 1:
+        return []
+    more = run.rows["steps"].sum() / (run.time[-1] - s.time0) * s.dt
+    return [f"time steps divided into up to {parts:.0f} parts where contacts demand it: {more:.4g} times as many"]
 
 
 def describe_runs(runs: Mapping[str, Run]) -> str:

@@ -11,12 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from petscjam.base.compiled import njit, prange
+from petscjam.base.compiled import BATCH, FAST, njit, prange
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.preparation.records import Forces, Step
-
-BATCH = 256
-FAST = {"contract", "reassoc", "arcp", "nsz"}  # sums may be reordered, but NaN stays NaN
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
