@@ -12,6 +12,7 @@ import pytest
 
 import petscjam as pj
 from petscjam.cli import main
+from petscjam.md.settings import Settings
 from petscjam.rows.damping import DampingLaw
 
 pytestmark = pytest.mark.parallel(nprocs=1)
@@ -54,6 +55,8 @@ def numbers(value):
     """What a file holds, as JSON: of an array its shape, ends and exact sum."""
     if isinstance(value, Path):
         return value.name
+    if isinstance(value, Settings):
+        value = value.attributes
     if is_dataclass(value):
         return {item.name: numbers(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -98,6 +101,8 @@ RENAMED = {"packing": "origin"}
 
 def compare(value, expected, where):
     """Look up every name of ``expected`` in ``value``; there may be more."""
+    if isinstance(value, Settings):
+        value = value.attributes
     if isinstance(expected, dict) and not (isinstance(value, np.ndarray) and value.ndim):
         for name, inside in expected.items():
             there = value[name] if isinstance(value, Mapping) else getattr(value, RENAMED.get(name, name))
@@ -158,7 +163,6 @@ def test_a_spectrum_is_read_as_moduli():
         compare(g.origin, expected["packing"], "packing")
 
 
-@pytest.mark.xfail(raises=pj.InputError, reason="a run is refused unless it has every row that is written today")
 def test_a_run_with_fewer_rows_is_read():
     check(FEWER, pj.md.read(FORMATS / FEWER))
 
@@ -227,7 +231,7 @@ def test_an_older_run_is_a_start(copied):
     command = "shear --start older/run.h5 --Q 2 --strain 0.02 --rate 1e-2 -o on.h5"
     assert main(command.split()) == 0
     older, run = pj.md.read("older/run.h5"), pj.md.read("on.h5")
-    assert run.settings["strain0"] == older.state.strain
+    assert run.settings.strain0 == older.state.strain
     np.testing.assert_array_equal(run.state.radii, older.state.radii)
 
 
