@@ -165,7 +165,8 @@ class Run:
             If fewer than two rows are left.
         """
         if isinstance(values, str):
-            values = self.rows[values] if values in self.rows else getattr(self, values)
+            known = values not in self.rows and hasattr(Run, values)
+            values = getattr(self, values) if known else self.rows[values]
         kept = np.asarray(values)[self.after(after)]
         if len(kept) < 2:
             raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows lie after a strain of {after}")

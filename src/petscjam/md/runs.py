@@ -182,6 +182,8 @@ def run(
     engine : str
         A name of :data:`ENGINES`.
     """
+    if engine not in ENGINES:
+        raise InputError(f"shear: no engine {engine!r}; there are {', '.join(ENGINES)}")
     use_threads(threads)
     ranges.SEED.check("shear: the seed", seed)
     ranges.FRAMES.check("shear: the number of frames", frames)
