@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import petscjam as pj
 
-LAWS = {"β = 1": pj.ContactDamping(1.0), "β = 0.01": pj.ContactDamping(0.01), "Stokes": pj.StokesDrag(1.0)}
+COMPARED = {"β = 1": pj.ContactDamping(1.0), "β = 0.01": pj.ContactDamping(0.01), "Stokes": pj.StokesDrag(1.0)}
 SPAN = 1e-8, 1e2
 
 
@@ -23,7 +23,7 @@ def judge(file, rtol, frequencies):
     """Yield law, pre-stress, factorisations, worst certificate, and (true, bound) at each frequency."""
     packing = pj.Packing.read(file)
     rng = np.random.default_rng(int(packing.checksum, 16))
-    for name, law in LAWS.items():
+    for name, law in COMPARED.items():
         for prestress in (True, False):
             settings = {"damping": law, "prestress": prestress, "comm": MPI.COMM_SELF}
             s = pj.spectrum(packing, SPAN, rtol=rtol, displacements=False, **settings)
@@ -49,7 +49,7 @@ def main():
         return
     print(f"{len(files)} packings, rtol {options.rtol:g}, {SPAN[0]:g} to {SPAN[1]:g}")
     print(f"{'law':10} {'pre-stress':10} {'factorisations: spectra':50} worst certificate")
-    for name in LAWS:
+    for name in COMPARED:
         for prestress in (True, False):
             some = [row for row in rows if row[:2] == (name, prestress)]
             counts = sorted(Counter(row[2] for row in some).items())

@@ -66,7 +66,7 @@ def files(tmp_path_factory):
         assert main([verb, str(found["packing"]), *options, "-o", str(found[kind])]) == 0
     packing = pj.Packing.read(found["packing"])
     pj.write_spectrum(pj.spectrum(packing), found["spectrum"])
-    append_result(pj.rebuilt_response(packing, 4), found["rebuilt"], "one")
+    append_result(pj.mode_sum(packing, 4), found["rebuilt"], "one")
     run = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2", "-o", str(found["run"])]
     assert main(run) == 0
     return found

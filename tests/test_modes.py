@@ -14,8 +14,7 @@ from petscjam.parallel.eigen import Pairs, lowest_pairs, pencil_pairs
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.preparation import certify as certify_module
-from petscjam.preparation.certify import below_all, certify, hessian, pivots_below
-from petscjam.preparation.certify import lowest_modes as lowest_of
+from petscjam.preparation.certify import below_all, certify, hessian, lowest_eigenpairs, pivots_below
 from petscjam.reference import linear as reference
 from petscjam.response import modes as modes_module
 from petscjam.response import relaxations as relaxations_module
@@ -550,7 +549,7 @@ def test_lowest_pairs_are_those_of_a_dense_pencil():
 
 def test_certificates_use_the_same_eigensolver():
     K = hessian(pj.ContactNetwork.of(sixteen()))
-    values, vectors, _, complete = lowest_of(K, 5)
+    values, vectors, _, complete = lowest_eigenpairs(K, 5)
     assert complete is True
     assert values == pytest.approx(lowest_modes(sixteen(), 5).eigenvalues, rel=1e-10)
     assert (K @ vectors.T) == pytest.approx(vectors.T * values, abs=1e-9)

@@ -277,7 +277,7 @@ def test_modes_that_cannot_be_computed_prove_nothing(monkeypatch):
     def fails(*arguments, **options):
         raise SolverError("no convergence")
 
-    monkeypatch.setattr("petscjam.preparation.certify.lowest_modes", fails)
+    monkeypatch.setattr("petscjam.preparation.certify.lowest_eigenpairs", fails)
     c = certify(packing).certificate
     assert c.proved is False and c.negative_modes is None and c.max_force < 1e-9
 

@@ -32,7 +32,7 @@ ENTRIES = {
     "elastic_constants": lambda p, odd, folder, **c: pj.elastic_constants(p, **c),
     "lowest_modes": lambda p, odd, folder, **c: pj.lowest_modes(p, 4, **c),
     "lowest_modes, count": lambda p, odd, folder, **c: pj.lowest_modes(PACKING, -1 if odd else 4, **c),
-    "rebuilt_response": lambda p, odd, folder, **c: pj.rebuilt_response(p, 4, **c),
+    "mode_sum": lambda p, odd, folder, **c: pj.mode_sum(p, 4, **c),
     "relaxation_modes": lambda p, odd, folder, **c: pj.relaxation_modes(p, 4, **c),
     "density_of_states": lambda p, odd, folder, **c: pj.density_of_states(p, moments=8, vectors=2, **c),
     "correlations": lambda p, odd, folder, **c: pj.correlations(p, [0.1], **c),

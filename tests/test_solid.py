@@ -310,7 +310,7 @@ EVERY = {
     "modes": lambda p, **how: pj.lowest_modes(p, 5, **how),
     "relaxations": lambda p, **how: pj.relaxation_modes(p, 5, **how),
     "stokes": lambda p, **how: pj.relaxation_modes(p, 5, damping=pj.StokesDrag(), **how),
-    "rebuilt": lambda p, **how: pj.rebuilt_response(p, 5, **how),
+    "rebuilt": lambda p, **how: pj.mode_sum(p, 5, **how),
     "density": lambda p, **how: pj.density_of_states(p, moments=16, vectors=2, **how),
     "drag": lambda p, **how: pj.self_consistent_drag(p, [1.0], 1e-3, 0.5, **how),
     "uniform": lambda p, **how: pj.equivalent_drag(p, [1.0], 1e-3, 0.5, **how),

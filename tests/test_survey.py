@@ -193,9 +193,17 @@ def test_every_kind_of_result_has_a_table():
         assert class_of(kind) is pj.ComplexModulus or (class_of(kind).units and class_of(kind).row is not Result.row)
 
 
+def test_a_file_made_under_the_former_name_is_resumed(folder, tmp_path, comm):
+    files, output = [folder / "p1.h5"], tmp_path / "sums.h5"
+    with pytest.warns(FutureWarning, match="now called mode_sum"):
+        analysed(files, output, pj.rebuilt_response, comm, count=5)
+    again = PackingAnalysis(pj.mode_sum, {"count": 5})
+    assert analyse(Ensemble(files, output, resume=True), again, comm=comm, log=lambda line: None) == (0, [])
+
+
 def test_a_kind_without_a_picture_says_so(folder, tmp_path, capfd, comm):
     output = tmp_path / "rebuilt.h5"
-    analysed([folder / "p1.h5"], output, pj.rebuilt_response, comm, count=5)
+    analysed([folder / "p1.h5"], output, pj.mode_sum, comm, count=5)
     (kind,) = {type(r) for r in read_results(output).values()}
     assert not kind.figure
     assert kind.__name__ in refused(capfd, "plot", output, "-o", tmp_path / "out.png")

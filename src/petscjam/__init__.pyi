@@ -3,8 +3,9 @@ from .analysis.contact_drag import self_consistent_drag as self_consistent_drag
 from .analysis.correlations import correlations as correlations
 from .analysis.density import density_of_states as density_of_states
 from .analysis.drag import equivalent_drag as equivalent_drag
+from .analysis.mode_sum import mode_sum as mode_sum
+from .analysis.mode_sum import rebuilt_response as rebuilt_response
 from .analysis.nonaffine import quasistatic_response as quasistatic_response
-from .analysis.rebuilt import rebuilt_response as rebuilt_response
 from .analysis.statistics import average as average
 from .analysis.viscosity import viscosity as viscosity
 from .base.errors import InputError as InputError

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,9 @@ from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import Field, strain_mode
 
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
 MEMORY = 6  # iterations that the next one is made of
 
 
@@ -40,7 +43,20 @@ def contact_times(velocity: Field, alpha: float, floor: float = 0.0) -> Array:
     """Return τ_c = ⟨|v|^(α+1)⟩/⟨|v|²⟩ (C,) of velocities Re(a e^{iωt}), a = ``velocity`` (C, 2).
 
     The tip of v runs along an ellipse: |v|² = A + D cos ψ, A = (|a_n|² + |a_t|²)/2, D = |a_n² + a_t²|/2, and
-    ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²). The square of ``floor`` times the mean of A is added.
+    ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²).
+
+    Parameters
+    ----------
+    velocity : (C, 2) complex
+        Amplitudes, normal and tangential.
+    alpha : float
+        Exponent of the friction.
+    floor : float
+        Relative to the root mean square of |v|: its square, times the mean of A, is added to A.
+
+    Returns
+    -------
+    (C,)
     """
     A = (abs(velocity) ** 2).sum(1) / 2
     D = abs((velocity**2).sum(1)) / 2
@@ -61,7 +77,7 @@ def self_consistent_drag(
     rtol: float = 1e-6,
     floor: float = 1e-6,
     most_iterations: int = 100,
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> NonlinearModulus:
@@ -72,17 +88,12 @@ def self_consistent_drag(
 
     Parameters
     ----------
-    packing : Packing
     omegas : (W,) array_like
         Angular frequencies in 1/τ1, all > 0.
     stress : float
         Amplitude δσ > 0 of the stress, in units of k; in compression, of the pressure.
     alpha : float
         Exponent α > 0; 1 is linear.
-    strain : str
-        ``simple-shear``, ``pure-shear`` or ``compression``.
-    prestress : bool
-        Keep the second term of BT eq. 4.
     rtol : float
         Converged where |ΔG*|/|G*| and the rms of Δ ln τ_c of an iteration are both below it.
     floor : float
@@ -90,12 +101,8 @@ def self_consistent_drag(
         τ_c → ∞ for α < 1 where a contact hardly moves.
     most_iterations : int
         For each frequency. What did not converge is kept, marked and noted.
-    comm : MPI communicator
-        Left out: COMM_SELF. The result is the same on every rank.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, strain, prestress, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------
@@ -177,7 +184,7 @@ def _fixed_point(
     log_tau: Array,
     rtol: float,
     most_iterations: int,
-    comm: Any,
+    comm: MPI.Comm,
 ) -> _Point:
     """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are the τ_c that made it."""
     tried: list[Array] = []
@@ -227,7 +234,7 @@ def _responses(problem: LinearProblem) -> Iterator[Callable[[float, float, Array
             B = viscous_form(network, mine, problem.strains, law, tau)
             with assembled(problem.K, pattern, dofs, comm, B) as pencil:
                 pencil.combine(1, 0, 1j * omega).copy(frame.A, structure=petsc().Mat.Structure.SAME_NONZERO_PATTERN)
-                forcing = (pencil.k + 1j * omega * pencil.pulls[2])[:, 0]
+                forcing = (pencil.k + 1j * omega * pencil.coupling[2])[:, 0]
             solver.factor(frame.A)
             x, residual = solver.solve(-forcing)
             Q = (dofs.gather(x, comm), [1.0])

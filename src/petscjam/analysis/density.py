@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,8 +30,10 @@ from petscjam.parallel.petsc import destroying, stage
 from petscjam.response.matrices import assembled
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.damping import ContactDamping
-from petscjam.rows.kinematics import SIMPLE_SHEAR, displacements
+from petscjam.rows.kinematics import displacements
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ
@@ -118,7 +120,7 @@ def density_of_states(
     vectors: int = 16,
     seed: int = 1,
     prestress: bool = True,
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> DensityOfStates:
@@ -126,20 +128,13 @@ def density_of_states(
 
     Parameters
     ----------
-    packing : Packing
     moments : int
         M; the kernel has the width π√(Ω² − ω²)/(2M + 2).
     vectors : int
         Random vectors; the statistical error falls as 1/√(vectors × modes).
     seed : int
-    prestress : bool
-        Keep the second term of BT eq. 4.
-    comm : MPI communicator
-        Left out: COMM_SELF. Results are the same arrays on every rank.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, prestress, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Returns
     -------
@@ -159,8 +154,7 @@ def density_of_states(
     ranges.VECTORS.check("vectors:", vectors)
     ranges.SEED.check("seed:", seed)
     require(24.0 * vectors * moments, f"density: {vectors} × {moments} moments", comm)
-    # which law and strain is immaterial: only K_uu enters
-    problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], prestress, comm)
+    problem = LinearProblem.elastic(packing, prestress, comm)
     if problem.negative_modes:
         raise InputError(
             f"packing: K has {problem.negative_modes} negative modes, and no ω = √λ; minimise further, or "
@@ -169,7 +163,7 @@ def density_of_states(
     backbone = problem.backbone.backbone
     modes = int(2 * backbone.sum() - 2)
     if modes == 0:
-        raise InputError("packing: one disk has no modes beside translations")
+        raise InputError("packing: one disk has no modes but translations")
     bound = highest(problem.backbone)
     dofs = problem.number(displacements(backbone))
     found = np.empty((vectors + vectors % 2, moments))
@@ -218,6 +212,17 @@ def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
     """Return random ±1 on the backbone less its mean, of length 1, as a field (N, 3).
 
     Where few disks all drew the same, a translation, they draw again.
+
+    Parameters
+    ----------
+    seed : int
+    v : int
+        Number of the vector.
+    backbone : (N,) bool
+
+    Returns
+    -------
+    (N, 3)
     """
     generator = np.random.default_rng([seed, v])
     u: Array = np.ones((len(backbone), 2))
@@ -233,11 +238,21 @@ def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
     return field / np.linalg.norm(field)
 
 
-def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: Any) -> Array:
+def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: MPI.Comm) -> Array:
     """Return the moments ⟨v, T_m(X) v⟩, (2, count), of the real and the imaginary part of ``start``.
 
     With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The ranks' shares
     are added up once, at the end.
+
+    Parameters
+    ----------
+    twice_X : PETSc.Mat
+        2X, X = 1 − 2K/Ω².
+    start : (n,) complex
+        Two real vectors of length 1, this rank's rows.
+    count : int
+        Number of moments.
+    comm : MPI communicator
 
     Raises
     ------
@@ -281,7 +296,17 @@ def frequency_grid(edge: float, count: int) -> Array:
 
 
 def angular(moments: Array, theta: Array) -> tuple[Array, Array]:
-    """Return the density in θ and its integral from 0, (V, W), for each vector."""
+    """Return the density in θ and its integral from 0, (V, W), for each vector.
+
+    Parameters
+    ----------
+    moments : (V, M)
+    theta : (W,)
+
+    Returns
+    -------
+    density, integral : (V, W)
+    """
     V, M = moments.shape
     m, weighted = np.arange(1, M), 2 * (jackson(M) * moments)[:, 1:]
     density, integral = np.empty((V, len(theta))), np.empty((V, len(theta)))
@@ -293,7 +318,15 @@ def angular(moments: Array, theta: Array) -> tuple[Array, Array]:
 
 
 def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
-    """Return D, its error, integral and resolution at ``omega``."""
+    """Return D, its error, integral and resolution at ``omega``.
+
+    Parameters
+    ----------
+    moments : (V, M)
+    edge : float
+        Ω.
+    omega : (W,)
+    """
     outside = ~((omega >= 0) & (omega < edge))
     if outside.any():
         raise InputError(f"omega: must be ≥ 0 and < {edge:g}, not {omega[np.argmax(outside)]:g}")

@@ -6,7 +6,7 @@ Axes: c contact of the backbone, i disk of the backbone, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,10 @@ from petscjam.parallel.comm import agree, resolve
 from petscjam.response.limits import quasistatic
 from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 MOTIONS = ("parallel", "transverse", "nonaffine")
 
@@ -92,7 +94,7 @@ def quasistatic_response(
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> QuasistaticResponse:
@@ -100,17 +102,8 @@ def quasistatic_response(
 
     Parameters
     ----------
-    packing : Packing
-    prestress : bool
-        Keep the second term of BT eq. 4.
-    strain : str
-        ``simple-shear``, ``pure-shear`` or ``compression``.
-    comm : MPI communicator
-        Left out: COMM_SELF. Results are the same arrays on every rank.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, prestress, strain, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------
@@ -122,8 +115,7 @@ def quasistatic_response(
     comm = resolve(comm)
     agree(comm, packing, prestress, strain)
     mode = strain_mode(strain)
-    # which law is immaterial: only K enters
-    problem = LinearProblem(packing, ContactDamping(), [mode], prestress, comm)
+    problem = LinearProblem.elastic(packing, prestress, comm, mode)
     (q,), residual = quasistatic(problem)
     network = problem.backbone
     rows, affine = contact_rows(network, [mode], at_contact_point=False)

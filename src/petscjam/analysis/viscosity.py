@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from petscjam.base.progress import Report
 from petscjam.geometry.packing import Packing
@@ -13,6 +13,9 @@ from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +54,16 @@ def viscosity(
     damping: DampingLaw | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> Viscosity:
     """Return η0 = Q†BQ/V of the quasi-static motion (docs/theory.md, Limits).
 
-    The parameters are those of :func:`petscjam.spectrum`.
+    Parameters
+    ----------
+    packing, damping, prestress, strain, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------

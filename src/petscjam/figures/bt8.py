@@ -18,7 +18,7 @@ from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 
-LAWS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # and the a of the paper
+EXPONENTS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # the exponent a of the paper for each law
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
 BULK = 100.0  # pN² above which the number of disks should not matter
 LARGE = 50.0  # pN² from which η0 is looked at for a dependence on N
@@ -31,7 +31,7 @@ def draw(study: Study, picture: Path) -> None:
     pressures, fewer = study.points("pressure"), study.points("large_pressure")
     for n in study.points("particles").astype(int).tolist():
         files = study.packings(n, fewer if n >= study["large"] else pressures)
-        made = study.results(files, PackingAnalysis(viscosity), list(LAWS), (True, False), tag=f"N{n}")
+        made = study.results(files, PackingAnalysis(viscosity), list(EXPONENTS), (True, False), tag=f"N{n}")
         results |= {f"{n} {name}": v for name, v in study.tally(made, f"η0, N = {n}").items()}
     on_root(study.comm, _draw, study, results, picture)
 
@@ -40,7 +40,7 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 5.6), layout="constrained")
-    for axes, (law, a) in zip(figure.subplots(1, 2), LAWS.items(), strict=True):
+    for axes, (law, a) in zip(figure.subplots(1, 2), EXPONENTS.items(), strict=True):
         for prestress in (False, True):
             curves = _curves(results, law, prestress)
             _find(study, curves, law, a, prestress)

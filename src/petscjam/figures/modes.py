@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.density import density_of_states, plateau
+from petscjam.analysis.mode_sum import ModeSum, mode_sum
 from petscjam.analysis.nonaffine import MOTIONS
-from petscjam.analysis.rebuilt import Rebuilt, rebuilt_response
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.base.types import Array, Integers
 from petscjam.figures.study import Finding, Study
@@ -29,7 +29,7 @@ WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 def draw(study: Study, picture: Path) -> None:
     """Make and draw it."""
     files = study.packings(study["particles"], study.points("pressure"))
-    low = PackingAnalysis(rebuilt_response, {"count": study["count"]})
+    low = PackingAnalysis(mode_sum, {"count": study["count"]})
     modes = study.results(files, low, prestress=(False,), tag="rebuilt")
     every = PackingAnalysis(density_of_states, {"moments": study["moments"]})
     density = study.results(files, every, prestress=(False,), tag="density")
@@ -71,7 +71,7 @@ def enough(ratios: Array, counts: Integers) -> float:
     return float(counts[first]) if first < len(counts) else np.nan
 
 
-def _draw_floppiness(axes: Any, some: list[Rebuilt], colour: Any) -> None:
+def _draw_floppiness(axes: Any, some: list[ModeSum], colour: Any) -> None:
     frequency = np.concatenate([r.frequencies for r in some])
     floppiness = np.concatenate([r.floppiness for r in some])
     edges = np.geomspace(frequency.min(), frequency.max() * 1.001, 40)
@@ -81,7 +81,7 @@ def _draw_floppiness(axes: Any, some: list[Rebuilt], colour: Any) -> None:
     axes.plot(middle, [np.median(floppiness[which == k]) for k in bins], color=colour, lw=1.2)
 
 
-def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[Rebuilt]]) -> None:
+def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[ModeSum]]) -> None:
     """Draw how many modes it takes, and note how that number depends on p."""
     p = np.array(list(groups))
     for k, motion in enumerate(MOTIONS):

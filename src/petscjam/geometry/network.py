@@ -190,13 +190,32 @@ class ContactNetwork:
 
 
 def rounded(values: ArrayLike, rounding: float | Array) -> Array:
-    """Return ``values``, 0 where they do not exceed ``rounding``."""
+    """Return ``values``, 0 where they do not exceed ``rounding``.
+
+    Parameters
+    ----------
+    values : array_like
+    rounding : float or array
+        Size up to which a value is zero.
+    """
     known = np.asarray(values, dtype=float)
     return np.where(abs(known) <= rounding, 0.0, known)
 
 
 def backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:
-    """Mark, of ``n`` disks, those left when all with fewer than three contacts are removed, repeatedly."""
+    """Mark, of ``n`` disks, those left when all with fewer than three contacts are removed, repeatedly.
+
+    Parameters
+    ----------
+    i, j : (C,)
+        Disks of each contact.
+    n : int
+        Number of disks.
+
+    Returns
+    -------
+    (n,) bool
+    """
     alive = np.ones(n, dtype=bool)
     while True:
         inside = alive[i] & alive[j]

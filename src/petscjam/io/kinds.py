@@ -21,7 +21,7 @@ KINDS = {
     ),
     "modes": ("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
     "relaxations": ("petscjam.response.relaxations:RelaxationModes", ""),
-    "rebuilt": ("petscjam.analysis.rebuilt:Rebuilt", ""),
+    "rebuilt": ("petscjam.analysis.mode_sum:ModeSum", ""),
     "density": ("petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"),
     "correlations": (
         "petscjam.analysis.correlations:Correlations",

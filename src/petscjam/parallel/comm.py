@@ -7,12 +7,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 T = TypeVar("T")
 
@@ -22,7 +25,7 @@ T = TypeVar("T")
 LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
-def world() -> Any:
+def world() -> MPI.Comm:
     """Return COMM_WORLD.
 
     Raises
@@ -42,7 +45,7 @@ def world() -> Any:
     return MPI.COMM_WORLD
 
 
-def resolve(comm: Any = None) -> Any:
+def resolve(comm: MPI.Comm | None = None) -> MPI.Comm:
     """Return ``comm``; left out, COMM_SELF, with a warning if the program runs on several ranks.
 
     Raises
@@ -61,7 +64,7 @@ def resolve(comm: Any = None) -> Any:
     return MPI.COMM_SELF
 
 
-def agree(comm: Any, *arguments: Any) -> None:
+def agree(comm: MPI.Comm, *arguments: Any) -> None:
     """Refuse arguments that differ between ranks: those would wait for each other forever. Collective.
 
     Packings are compared by checksum, arrays by value, anything else by what it prints.
@@ -75,7 +78,7 @@ def _told(argument: Any) -> str:
     return checksum or repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
 
 
-def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
+def on_root(comm: MPI.Comm, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
     """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
 
     An error that is not ours stays as it is on rank 0, and is a RuntimeError elsewhere.
@@ -93,7 +96,7 @@ def on_root(comm: Any, work: Callable[..., T], *arguments: Any, **options: Any) 
     return result
 
 
-def raise_together(comm: Any, error: Exception | Interrupted | None) -> None:
+def raise_together(comm: MPI.Comm, error: Exception | Interrupted | None) -> None:
     """Raise if any rank brings an error: its own on that rank, elsewhere that of the lowest such rank.
 
     Collective. An error that is not ours is a RuntimeError on the other ranks.
@@ -108,7 +111,7 @@ def _for_others(error: Exception | Interrupted | None) -> Exception | Interrupte
     return error if ours else error and RuntimeError(repr(error))
 
 
-def total(comm: Any, share: Any) -> Any:
+def total(comm: MPI.Comm, share: Any) -> Any:
     """Sum a scalar or an array over the ranks."""
     share = np.asarray(share)
     out = np.empty_like(share)
@@ -116,7 +119,7 @@ def total(comm: Any, share: Any) -> Any:
     return out if out.ndim else out[()]
 
 
-def exit_together(comm: Any, code: int, message: str, patience: float = 2.0) -> int:
+def exit_together(comm: MPI.Comm, code: int, message: str, patience: float = 2.0) -> int:
     """Agree on an exit: together if every rank is leaving, else by MPI_Abort after ``patience``, s.
 
     ``comm`` spans all ranks and is used for nothing else. The message is printed once where every

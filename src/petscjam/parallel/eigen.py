@@ -14,17 +14,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.errors import SolverError
 from petscjam.base.interrupt import check
+from petscjam.base.progress import Report
 from petscjam.base.types import Array
-from petscjam.parallel.comm import total
+from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.matrix import apply_real
+from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 TOLERANCE = 1e-10
 RESTARTS = 10_000
@@ -59,9 +64,11 @@ def search_all(
     count_below: Callable[[float, float], int],
     count: int,
     most: int,
+    comm: MPI.Comm,
     *,
     least: Callable[[Array], float],
     left_out: Sequence[float] = (),
+    progress: Report | None = None,
 ) -> Search:
     """Return the lowest ``count`` pairs and those equal to the last, and prove that none is missing.
 
@@ -75,12 +82,16 @@ def search_all(
         Of how many to search for and the vectors (n, m) found before, or None: all pairs found, ascending.
     count_below : callable
         Of σ and how far rounding may move it: how many eigenvalues lie below. SolverError if it moves more.
+        Called on rank 0.
     count, most : int
         How many are wanted, and how many there are.
+    comm : MPI communicator
     least : callable
         Of the eigenvalues found: a difference between them that may be rounding.
     left_out : sequence of float
         Eigenvalues that are counted and not searched for.
+    progress : callable
+        Called with a fraction and a text.
 
     Raises
     ------
@@ -91,16 +102,24 @@ def search_all(
     complete: bool | None = True
     notes: list[str] = []
     seconds = []
+
+    def count_on_root(sigma: float, room: float) -> int:
+        below = on_root(comm, count_below, sigma, room)
+        give_back_memory()
+        return below
+
     while True:
         times = [time.perf_counter()]
         found = search(wanted, None if found is None else found.vectors)
+        if progress:
+            progress(0.8, f"{len(found.values)} eigenpairs, residual {found.residuals.max():.0e}")
         times.append(time.perf_counter())
         there = len(found.values)
         vain = 0 if (found.values < sigma).sum() > before else vain + 1
         missing = max(min(count + SPARE, most) - there, 0)
         if not missing and there < most:
             try:
-                missing, sigma, notes = _missing(found.values, count, count_below, least(found.values), left_out)
+                missing, sigma, notes = _missing(found.values, count, count_on_root, least(found.values), left_out)
             except SolverError as error:
                 complete, notes = None, [f"the modes could not be counted: {error}"]
         seconds.append(np.diff([*times, time.perf_counter()]))
@@ -163,6 +182,17 @@ def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: 
 
     Vectors of equal eigenvalues are those that make vᵀ diag(``probe``) v stationary; ``probe`` (n,) is
     anything that no symmetry leaves alike.
+
+    Parameters
+    ----------
+    A, metric : PETSc.Mat
+        Of A v = x M v; None for M = 1.
+    pairs : Pairs
+    count : int
+    probe : (n,)
+        Numbers that no symmetry leaves alike, this rank's rows.
+    least : float
+        Difference of eigenvalues that may be rounding.
     """
     comm = A.comm.tompi4py()
     values, vectors, residuals = pairs.values, pairs.vectors.copy(), pairs.residuals.copy()
@@ -181,7 +211,7 @@ def lowest_pairs(
     count: int,
     shift: float,
     *,
-    leave_out: Sequence[NDArray] = (),
+    leave_out: Sequence[NDArray[Any]] = (),
     known: Array | None = None,
     prefix: str = "petscjam_modes_",
 ) -> Pairs:
@@ -254,7 +284,7 @@ def pencil_pairs(A: Any, M: Any, count: int, *, known: Array | None = None, pref
 
 
 def _solved(
-    eps: Any, A: Any, metric: Any, count: int, leave_out: Sequence[NDArray], known: Array | None, prefix: str
+    eps: Any, A: Any, metric: Any, count: int, leave_out: Sequence[NDArray[Any]], known: Array | None, prefix: str
 ) -> Pairs:
     """Solve, with MUMPS LDLᵀ unless the options say otherwise; return the pairs known and found.
 
@@ -314,7 +344,7 @@ def _real_pairs(A: Any, metric: Any, V: Array, count: int) -> Pairs:
     return Pairs(values, V, _residuals(AV, _metric(metric, V), values, comm))
 
 
-def _residuals(AV: Array, MV: Array, values: Array, comm: Any) -> Array:
+def _residuals(AV: Array, MV: Array, values: Array, comm: MPI.Comm) -> Array:
     """Return ‖Av − xMv‖/‖Mv‖ of each pair."""
     left, size = total(comm, np.stack([((AV - MV * values) ** 2).sum(0), (MV**2).sum(0)])) ** 0.5
     return left / size
@@ -325,7 +355,7 @@ def _metric(metric: Any, V: Array) -> Array:
     return V if metric is None else apply_real(metric, V)
 
 
-def _vector(matrix: Any, values: NDArray) -> Any:
+def _vector(matrix: Any, values: NDArray[Any]) -> Any:
     vector = matrix.createVecRight()
     vector.array[:] = values
     return vector

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.parallel.petsc import destroying, petsc
 
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
-def symmetric_matrix(indptr: NDArray, indices: NDArray, values: NDArray, size: int, comm: Any) -> Any:
+
+def symmetric_matrix(
+    indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: MPI.Comm
+) -> Any:
     """Return the PETSc matrix with these local rows, flagged symmetric and not Hermitian.
 
     MUMPS then takes LDLᵀ, which PETSc refuses on a Hermitian matrix in a complex build.
+
+    Parameters
+    ----------
+    indptr, indices, values : arrays
+        This rank's rows, in compressed form.
+    size : int
+        Number of columns.
+    comm : MPI communicator
+
+    Returns
+    -------
+    PETSc.Mat
     """
     PETSc = petsc()
     local = len(indptr) - 1
@@ -25,8 +42,20 @@ def symmetric_matrix(indptr: NDArray, indices: NDArray, values: NDArray, size: i
     return matrix
 
 
-def apply_real(matrix: Any, columns: NDArray) -> NDArray:
-    """Return ``matrix`` times local rows of real columns (n, m), two at a time, for it is real."""
+def apply_real(matrix: Any, columns: NDArray[Any]) -> NDArray[Any]:
+    """Return ``matrix`` times local rows of real columns (n, m), two at a time, for it is real.
+
+    Parameters
+    ----------
+    matrix : PETSc.Mat
+        Real.
+    columns : (n, m)
+        This rank's rows.
+
+    Returns
+    -------
+    (n, m)
+    """
     out = np.empty_like(columns)
     x, y = matrix.createVecs()
     with destroying(x, y):

@@ -5,14 +5,18 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import resource
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from petscjam.base.errors import InputError
 from petscjam.parallel.comm import raise_together
 from petscjam.parallel.container import memory_left
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 def factor_memory(unknowns: int) -> float:
@@ -33,12 +37,17 @@ def available_memory() -> float:
     return min(free, memory_left())
 
 
+def peak_memory() -> float:
+    """Return the largest memory that this process has had, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
 def scratch_folder() -> Path:
     """Return where MUMPS keeps a factor out of core."""
     return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
-def require(size: float, what: str, comm: Any = None) -> None:
+def require(size: float, what: str, comm: MPI.Comm | None = None) -> None:
     """Refuse to ask for ``size`` bytes that this machine, or one of ``comm``, does not have; then collective.
 
     Raises
@@ -51,7 +60,7 @@ def require(size: float, what: str, comm: Any = None) -> None:
         raise InputError(f"{what}: needs about {size / 2**20:.3g} MB, and {free:.0f} MB are free; take less")
 
 
-def check_memory(comm: Any, unknowns: int, *, out_of_core: bool = False) -> str:
+def check_memory(comm: MPI.Comm, unknowns: int, *, out_of_core: bool = False) -> str:
     """Say what a factor will need, before any work; collective.
 
     Raises

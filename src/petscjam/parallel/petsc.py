@@ -9,10 +9,13 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, deferred
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 ADVICE = (
     'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
@@ -29,7 +32,7 @@ def set_options(options: Sequence[str]) -> None:
     _options[:] = [*options, "-options_left"] if options else []
 
 
-def start(comm: Any) -> None:
+def start(comm: MPI.Comm) -> None:
     """Start PETSc and SLEPc on all ranks of ``comm`` together: ``-log_view`` then reports on all of them.
 
     Raises

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from petscjam.base.errors import SolverError
 from petscjam.base.interrupt import check
 from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 Complex = NDArray[np.complex128]
 OUT_OF_WORKSPACE = (-8, -9)
@@ -28,7 +31,7 @@ ROUNDING = 1e-13  # residual of a stable solve, relative to ‖A‖‖x‖
 
 
 class DirectSolver:
-    """Factor matrices and solve with them; a user may put another solver behind ``prefix``.
+    """Factor matrices and solve with them; PETSc options of ``prefix`` select another solver.
 
     Attributes
     ----------
@@ -37,7 +40,7 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(self, comm: Any, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float) -> None:
+    def __init__(self, comm: MPI.Comm, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float) -> None:
         PETSc = petsc()
         self.factorisations = 0
         self._comm = comm
@@ -205,13 +208,21 @@ class DirectSolver:
 
 @contextmanager
 def direct_solver(
-    comm: Any, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
+    comm: MPI.Comm, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
 ) -> Iterator[DirectSolver]:
-    """Give a :class:`DirectSolver` with PETSc options ``prefix``, and free it at the end.
+    """Give a :class:`DirectSolver`, and free it at the end.
 
-    ``definite`` says that real and imaginary parts of the matrices are positive semi-definite.
-    ``out_of_core`` keeps the factor on disk, in the folder that MUMPS_OOC_TMPDIR names. ``block_low_rank``
-    compresses the factor to this relative accuracy, which refinement makes up for; 0: exact.
+    Parameters
+    ----------
+    comm : MPI communicator
+    prefix : str
+        Of the PETSc options.
+    definite : bool
+        Whether real and imaginary parts of the matrices are positive semi-definite.
+    out_of_core : bool
+        Keep the factor on disk, in the folder that MUMPS_OOC_TMPDIR names.
+    block_low_rank : float
+        Relative accuracy to which the factor is compressed; refinement corrects the solution. 0: exact.
     """
     solver = DirectSolver(comm, prefix, definite, out_of_core, block_low_rank)
     with _scratch() if out_of_core else nullcontext(), destroying(solver.ksp):

@@ -6,13 +6,16 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, check
 from petscjam.base.progress import Report, part
 from petscjam.parallel import container
 from petscjam.parallel.comm import raise_together
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 T = TypeVar("T")
 
@@ -29,7 +32,7 @@ class Team:
         Which team this is, and of how many.
     """
 
-    comm: Any
+    comm: MPI.Comm
     index: int
     count: int
 
@@ -39,7 +42,7 @@ class Team:
 
 
 @contextmanager
-def teams(comm: Any, size: int = 1) -> Iterator[Team]:
+def teams(comm: MPI.Comm, size: int = 1) -> Iterator[Team]:
     """Split ``comm`` into teams of ``size`` ranks; the last may be smaller.
 
     Raises
@@ -66,7 +69,7 @@ Named = TypeVar("Named", bound=Task)
 
 
 def deal(
-    comm: Any,
+    comm: MPI.Comm,
     tasks: Sequence[Named],
     work: Callable[[Named, Team, Report | None], None],
     *,
@@ -115,7 +118,7 @@ def deal(
     return [one for some in comm.allgather(failed if first else []) for one in some]
 
 
-def cores_each(comm: Any) -> int:
+def cores_each(comm: MPI.Comm) -> int:
     """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not.
 
     No more than the limit of a container.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,12 +32,18 @@ if TYPE_CHECKING:
 def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
     """Return K_uu of the backbone, sparse and real, (2n, 2n); row 2i + x belongs to its i-th disk.
 
+    Parameters
+    ----------
+    network : ContactNetwork
+    prestress : bool
+        Keep the second term of BT eq. 4.
+
     Raises
     ------
     InputError
         If there is no backbone, or it falls apart into pieces.
     """
-    return _elasticity(network, prestress, [SIMPLE_SHEAR])[0]  # the mode plays no part
+    return _elasticity(network, prestress, [SIMPLE_SHEAR])[0]
 
 
 def _elasticity(network: ContactNetwork, prestress: bool, strains: list[StrainMode]) -> tuple[csc_array, Array, Array]:
@@ -52,6 +59,12 @@ def _elasticity(network: ContactNetwork, prestress: bool, strains: list[StrainMo
 def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> int:
     """Count the negative eigenvalues of K_uu on the backbone, one disk pinned.
 
+    Parameters
+    ----------
+    packing : Packing or ContactNetwork
+    prestress : bool
+        Keep the second term of BT eq. 4.
+
     Raises
     ------
     SolverError
@@ -61,11 +74,20 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
     return _count_below(K, -shift)
 
 
-def modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[int, int]:
+def count_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[int, int]:
     """Count the negative and the zero eigenvalues of K_uu on the backbone, one disk pinned.
 
     Zero is what lies within a shift that is a little more than the factorisation can round. Without
     pre-stress K is a sum of squares, and none is negative.
+
+    Parameters
+    ----------
+    packing, prestress
+        As for :func:`negative_modes`.
+
+    Returns
+    -------
+    negative, zero : int
 
     Raises
     ------
@@ -89,7 +111,7 @@ def _zero(K: csc_array) -> float:
 
 
 def _count_below(K: csc_array, sigma: float) -> int:
-    """Count the eigenvalues below ``sigma``, or up to a fifth beside it where the factorisation fails."""
+    """Count the eigenvalues below ``sigma``, or within a fifth of it where the factorisation at ``sigma`` fails."""
     for factor in (1.0, 0.9, 1.1, 0.8):
         with suppress(SolverError):
             return pivots_below(K, factor * sigma, abs(sigma))
@@ -128,6 +150,13 @@ def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester).
 
     Those within rounding of ``sigma`` count or do not.
+
+    Parameters
+    ----------
+    K : sparse (n, n)
+    sigma : float
+    room : float
+        Largest error of the eigenvalues that the factorisation may make.
 
     Raises
     ------
@@ -199,13 +228,19 @@ class Instability:
     strain: Array
 
 
-def lowest_modes(
+def lowest_eigenpairs(
     K: csc_array, count: int = EIGENVALUES, *, shift: float | None = None
 ) -> tuple[Array, Array, Array, bool | None]:
-    """Return the lowest eigenvalues of K (2n, 2n), translations left out, vectors, residuals, and a proof.
+    """Return the lowest eigenpairs of K, translations left out, and a proof that none is missing.
 
-    The search is for those nearest ``shift``, a little below zero unless given. If any is missing, it goes on
-    from below all eigenvalues.
+    If one is missing, the search goes on from below all eigenvalues.
+
+    Parameters
+    ----------
+    K : sparse (2n, 2n)
+    count : int
+    shift : float
+        The search is for the eigenvalues nearest to it; left out, a little below zero.
 
     Returns
     -------
@@ -243,11 +278,16 @@ def lowest_modes(
         below = start if known is None else min(start, below_all(K))
         return lowest_pairs(matrix, wanted, below, leave_out=translations, known=known)
 
-    def count_below(sigma: float, room: float) -> int:
-        return pivots_below(K, sigma, room)
-
     with destroying(matrix):
-        found = search_all(search, count_below, count, size - 2, least=lambda _: _zero(K), left_out=(0.0, 0.0))
+        found = search_all(
+            search,
+            partial(pivots_below, K),
+            count,
+            size - 2,
+            MPI.COMM_SELF,
+            least=lambda _: _zero(K),
+            left_out=(0.0, 0.0),
+        )
     values, vectors, residuals = found.pairs
     return values[:count], vectors[:, :count].T, residuals[:count], found.complete
 
@@ -303,6 +343,12 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
     stabilised against shear must also have an isotropic pressure tensor, to the same tolerance, and resist
     shear in every direction. Where the modes cannot be computed, their number is None, and nothing is proved.
 
+    Parameters
+    ----------
+    packing : Packing
+    target_pressure : float
+        Left out: no pressure is asked of it.
+
     Raises
     ------
     InputError
@@ -312,7 +358,7 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
 
 
 def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packing, Instability | None]:
-    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one."""
+    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one; parameters as there."""
     network = ContactNetwork.of(packing)
     K = hessian(network)
     pressure, diameter = network.pressure, packing.mean_diameter
@@ -374,13 +420,13 @@ class _Modes:
 def _modes(network: ContactNetwork, K: csc_array) -> _Modes:
     """Find the lowest modes and count; that they are the lowest does where they are well above zero."""
     try:
-        values, vectors, residuals, complete = lowest_modes(K)
+        values, vectors, residuals, complete = lowest_eigenpairs(K)
         negative = zero = 0
         positive = len(values) == 0 or values[0] > max(10 * residuals[0], 2 * _zero(K))
         if not positive or (complete is None and _count_below(K, values[0] / 2) > 2):
-            negative, zero = modes(network)
+            negative, zero = count_modes(network)
         if negative and complete is None:
-            values, vectors, residuals, _ = lowest_modes(K, shift=below_all(K))
+            values, vectors, residuals, _ = lowest_eigenpairs(K, shift=below_all(K))
     except SolverError:
         return _Modes(np.empty(0), np.empty((0, K.shape[0])), np.empty(0), None, None)
     return _Modes(values, vectors, residuals, negative, zero)

@@ -97,7 +97,7 @@ def gradient(x, pairs, image, exponent, out, sums):
 
 
 @njit(cache=True, parallel=True)
-def gradient_threaded(x, pairs, image, exponent, out, sums):
+def _gradient_threaded(x, pairs, image, exponent, out, sums):
     """Do what :func:`gradient` does, the chunks shared among threads."""
     for chunk in prange(len(pairs.chunks) - 1):
         _add_chunk(chunk, x, pairs, exponent, out, sums)
@@ -113,7 +113,7 @@ def _map(x, F, out):
 
 
 @njit(cache=True)
-def deformation(z, n, cell):
+def _deformation(z, n, cell):
     """Return F = 1 + Σ e_s E_s, where w e_s = z[2n + s]."""
     F = np.eye(2)
     for s in range(len(cell.directions)):
@@ -123,18 +123,31 @@ def deformation(z, n, cell):
 
 @njit(cache=True)
 def evaluate(z, system, g):
-    """Set ``g`` (2n + S,) to the gradient of H = U + pV at ``z`` (:class:`Enthalpy`); return the :class:`Forces`."""
+    """Evaluate H = U + pV and its gradient.
+
+    Parameters
+    ----------
+    z : (2n + S,)
+        As in :class:`petscjam.preparation.minimise.Enthalpy`.
+    system : System
+    g : (2n + S,)
+        Overwritten with dH/dz.
+
+    Returns
+    -------
+    Forces
+    """
     n, cell, pairs, exponent, threads, true, sums = system
     strains, weight, target, area = cell
     x, forces = z[: 2 * n].view(np.complex128), g[: 2 * n].view(np.complex128)
-    F, image = deformation(z, n, cell), pairs.image
+    F, image = _deformation(z, n, cell), pairs.image
     if len(strains) > 0:
         _map(x, F, true)
         x, there = true, np.empty_like(image)
         _map(image, F, there)
         image = there
     if threads:
-        gradient_threaded(x, pairs, image, exponent, forces, sums)
+        _gradient_threaded(x, pairs, image, exponent, forces, sums)
     else:
         gradient(x, pairs, image, exponent, forces, sums)
     energy, xx, xy, yy = sums[:, 0].sum(), sums[:, 1].sum(), sums[:, 2].sum(), sums[:, 3].sum()
@@ -178,7 +191,7 @@ def _advance_chunk(chunk, z, v, g, step, built, n, found):
 
 
 @njit(cache=True)
-def inner_products(n, g, v, threads):
+def _inner_products(n, g, v, threads):
     """Return g·g, g·v, v·v, and the largest gradient on a disk or a strain."""
     found = np.empty(((n + CHUNK - 1) // CHUNK, 4))
     if threads:
@@ -200,7 +213,7 @@ def _inner_threaded(n, g, v, found):
 
 
 @njit(cache=True)
-def advance(z, v, g, step, system):
+def _advance(z, v, g, step, system):
     """Take a :class:`Step`; return the largest velocity, and the longest way of a disk since the list was built."""
     n, built, threads = system.n, system.pairs.built, system.threads
     found = np.empty(((n + CHUNK - 1) // CHUNK, 2))
@@ -227,14 +240,22 @@ def _advance_threaded(z, v, g, step, built, n, found):
 def stale(moved, z, pairs, cell):
     """Tell whether a pair that is not in the list may touch at ``z``.
 
-    Only non-affine motion counts, of which ``moved`` is the longest: F·F_built⁻¹ shrinks the distance of
-    a pair by at most its smallest singular value.
+    Only non-affine motion counts: F·F_built⁻¹ shrinks the distance of a pair by at most its smallest singular
+    value.
+
+    Parameters
+    ----------
+    moved : float
+        Longest non-affine displacement of a disk since the list was made.
+    z : (2n + S,)
+    pairs : NeighbourList
+    cell : CellStrains
     """
     skin = pairs.skin
     n = (len(z) - len(cell.directions)) // 2
     if len(cell.directions) == 0:
         return 2 * moved >= skin
-    F, F0 = deformation(z, n, cell), deformation(pairs.built, n, cell)
+    F, F0 = _deformation(z, n, cell), _deformation(pairs.built, n, cell)
     ratio = np.linalg.svd(F @ np.linalg.inv(F0))[1][1]
     stretch = np.linalg.svd(F)[1][0]
     return 2 * stretch * moved >= ratio * skin - max(1 - ratio, 0.0) * pairs.largest
@@ -251,7 +272,14 @@ def _largest_square(vectors):
 
 @njit(cache=True, fastmath=FAST)
 def farthest(n, z, built):
-    """Longest way of a disk from ``built`` to ``z``, (2n + S,) both."""
+    """Return the longest displacement of a disk.
+
+    Parameters
+    ----------
+    n : int
+        Number of disks.
+    z, built : (2n + S,)
+    """
     most = 0.0
     for a in range(n):
         most = max(most, (z[2 * a] - built[2 * a]) ** 2 + (z[2 * a + 1] - built[2 * a + 1]) ** 2)
@@ -260,7 +288,14 @@ def farthest(n, z, built):
 
 @njit(cache=True)
 def stress_error(stress, cell):
-    """Return the largest error of what the cell relaxes: the pressure, or every part of the pressure tensor."""
+    """Return the largest error of what the cell relaxes: the pressure, or every part of the pressure tensor.
+
+    Parameters
+    ----------
+    stress : (3,)
+        xx, xy, yy.
+    cell : CellStrains
+    """
     xx, xy, yy = stress
     target = cell.pressure
     if len(cell.directions) == 0:
@@ -272,7 +307,14 @@ def stress_error(stress, cell):
 
 @njit(cache=True)
 def reached(now, cell, goal):
-    """Tell whether the :class:`Forces` ``now`` meet ``goal``."""
+    """Tell whether forces and stress meet the goal.
+
+    Parameters
+    ----------
+    now : Forces
+    cell : CellStrains
+    goal : Goal
+    """
     pressure = (now.stress[0] + now.stress[2]) / 2
     return now.force <= max(goal.force, goal.relative * pressure) and stress_error(now.stress, cell) <= goal.stress
 
@@ -281,8 +323,20 @@ def reached(now, cell, goal):
 def fire(z, g, v, state, now, goal, bounds, system):
     """Take steps of FIRE until the goal is reached, the list is stale, or the gradients are spent.
 
-    ``z``, ``v`` and ``state`` (time step, mixing, steps downhill, largest velocity) change in place, and
-    ``g``, the gradient at z, unless the list is stale.
+    ``z``, ``v`` and ``state`` change in place, and ``g`` unless the list is stale (Bitzek et al., Phys. Rev.
+    Lett. 97, 170201).
+
+    Parameters
+    ----------
+    z, g, v : (2n + S,)
+        Point, gradient and velocity.
+    state : (4,)
+        Time step, mixing, steps downhill, largest velocity.
+    now : Forces
+        At z.
+    goal : Goal
+    bounds : Bounds
+    system : System
 
     Returns
     -------
@@ -293,7 +347,7 @@ def fire(z, g, v, state, now, goal, bounds, system):
     now : Forces
     """
     n, cell, pairs, threads = system.n, system.cell, system.pairs, system.threads
-    gg, gv, vv, most = inner_products(n, g, v, threads)
+    gg, gv, vv, most = _inner_products(n, g, v, threads)
     for taken in range(bounds.gradients):
         if reached(now, cell, goal):
             return taken, True, now
@@ -308,11 +362,11 @@ def fire(z, g, v, state, now, goal, bounds, system):
         state[0] = min(state[0], bounds.time)
         push += state[0]
         time = min(state[0], bounds.displacement / (keep * state[3] + push * most))
-        state[3], moved = advance(z, v, g, Step(keep, push, time), system)
+        state[3], moved = _advance(z, v, g, Step(keep, push, time), system)
         if stale(moved, z, pairs, cell):
             return taken, False, now
         now = evaluate(z, system, g)
-        gg, gv, vv, most = inner_products(n, g, v, threads)
+        gg, gv, vv, most = _inner_products(n, g, v, threads)
     return bounds.gradients, True, now
 
 
@@ -366,9 +420,21 @@ def conjugate_gradients(line, state, now, goal, gradients, limit, system):
 
     A line is followed until the slope of H along d has risen to within 5 % of zero, by secants; a looser
     search takes more gradients at low pressure, a tighter one no fewer. Only gradients are compared: energies
-    stop telling points apart at √ε of the way. A step moves no disk by more than ``limit``. ``line`` and
-    ``state`` change in place: the slope at z, the step, the bracket (low, slope, high, slope), the largest step,
-    and the trials.
+    stop telling points apart at √ε of the way. ``line`` and ``state`` change in place.
+
+    Parameters
+    ----------
+    line : Line
+    state : (8,)
+        Slope at z, step, bracket (low, slope, high, slope), largest step, and number of trials.
+    now : Forces
+        At z.
+    goal : Goal
+    gradients : int
+        Most of them.
+    limit : float
+        Largest displacement of a step.
+    system : System
 
     Returns
     -------

@@ -139,13 +139,20 @@ class Enthalpy:
 
         g = np.empty_like(z)
         self.now = kernels.evaluate(z, self.system(z), g)
-        self.count(z, 1)
+        self._count(z, 1)
         return g
 
     def downhill(self, displacement: Array, strain: Array, step: float) -> Array:
         """Return a z with a lower H on the line of a motion of disks (N, 2) and cell (2, 2) from the start.
 
         The largest displacement is ``step``, halved until H falls up to there, else doubled while it does.
+
+        Parameters
+        ----------
+        displacement : (N, 2)
+        strain : (2, 2)
+        step : float
+            Length to try first.
         """
         on_cell = [np.sum(strain * E) / np.sum(E * E) for E in self.strains]
         d = np.append(displacement[self.order], self.weight * np.array(on_cell))
@@ -159,7 +166,7 @@ class Enthalpy:
         self.gradient(self.start + step * d)
         return self.start + step * d
 
-    def count(self, z: Array, gradients: int) -> None:
+    def _count(self, z: Array, gradients: int) -> None:
         """Count ``gradients`` evaluated, report every 200 of them, and stop if a signal has come."""
         check()
         before = self.evaluations
@@ -225,6 +232,17 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
     """Minimise by FIRE (Bitzek et al., Phys. Rev. Lett. 97, 170201) until ``goal``; return z.
 
     Unit masses; the fastest mode, ω² ≈ 8k, bounds the time step.
+
+    Parameters
+    ----------
+    h : Enthalpy
+    z : (2N + S,)
+        Where it starts.
+    goal : Goal
+
+    Returns
+    -------
+    (2N + S,)
     """
     from petscjam.preparation import kernels
 
@@ -235,14 +253,24 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
         system = h.system(z)
         bounds = Bounds(min(REPORT_EVERY, h.budget - h.evaluations), 0.6 / h.stiffest**0.5, 0.1 * h.diameter)
         taken, fresh, h.now = kernels.fire(z, g, v, state, h.now, goal, bounds, system)
-        h.count(z, taken)
+        h._count(z, taken)
         if not fresh:
             g = h.gradient(z)
     return z
 
 
 def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
-    """Minimise by Polak–Ribière+ conjugate gradients (BT sec. 2.1) until ``goal``; return z."""
+    """Minimise by Polak–Ribière+ conjugate gradients (BT sec. 2.1) until ``goal``; return z.
+
+    Parameters
+    ----------
+    h, z, goal
+        As for :func:`fire`.
+
+    Returns
+    -------
+    (2N + S,)
+    """
     from petscjam.preparation import kernels
 
     line = Line(z.copy(), h.gradient(z), np.empty_like(z), z.copy(), np.empty_like(z))
@@ -253,7 +281,7 @@ def conjugate_gradients(h: Enthalpy, z: Array, goal: Goal) -> Array:
     while not h.reached(goal):
         system, gradients = h.system(line.trial), min(REPORT_EVERY, h.budget - h.evaluations)
         taken, h.now = kernels.conjugate_gradients(line, state, h.now, goal, gradients, limit, system)
-        h.count(line.z, taken)
+        h._count(line.z, taken)
     return line.z
 
 

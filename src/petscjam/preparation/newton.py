@@ -24,7 +24,18 @@ PATIENCE = 3
 def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) -> Array:
     """Alternate ``method`` and Newton's method until ``goal``; return z.
 
-    Newton's method is tried when no force exceeds ``closeness``·p·d; if in vain, again at a hundredth.
+    Parameters
+    ----------
+    h, z, goal
+        As for :func:`petscjam.preparation.minimise.fire`.
+    closeness : float
+        Largest force, in p·d, from which Newton's method is tried; if it fails, again at a hundredth of it.
+    method : str
+        A name from ``METHODS``.
+
+    Returns
+    -------
+    (2N + S,)
     """
     while True:
         nearer = near(h, closeness)
@@ -38,7 +49,18 @@ def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) ->
 
 
 def near(h: Enthalpy, closeness: float) -> Goal:
-    """Return the goal: no force exceeds ``closeness``·p·d, the stress errs by ten times as much at most."""
+    """Return the goal that no force exceeds ``closeness``·p·d, and the stress errs by ten times as much at most.
+
+    Parameters
+    ----------
+    h : Enthalpy
+    closeness : float
+        In units of p·d; at constant volume p is the pressure at z.
+
+    Returns
+    -------
+    Goal
+    """
     pressure = h.target or 0.0  # at constant volume: in units of the pressure there is
     return Goal(closeness * pressure * h.diameter, closeness * h.diameter, 10 * closeness * pressure)
 
@@ -54,9 +76,18 @@ def first_closeness(n: int) -> float:
 def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
     """Take Newton steps until ``goal``, or until PATIENCE of them have not halved the distance; return z.
 
-    A step may open or close a few contacts and so lead further away at first: the Hessian of the new contacts
-    then brings it back. What leads nowhere is undone, and so is a step that is not small beside the overlaps;
-    then it is for the other methods to go on.
+    A step may open or close a few contacts and increase the forces at first; the Hessian of the new contacts
+    then lowers them. Steps that do not lower them in the end, or are not small compared with the overlaps, are
+    undone: then FIRE or conjugate gradients go on.
+
+    Parameters
+    ----------
+    h, z, goal
+        As for :func:`petscjam.preparation.minimise.fire`.
+
+    Returns
+    -------
+    (2N + S,)
     """
     g = h.gradient(z)
     best, at_best, nearest = z, h.now, h.distance(goal)
@@ -78,7 +109,7 @@ def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
 
 
 def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
-    """Solve Hessian·d = −g, and return d and the mean overlap of contacts, too.
+    """Solve Hessian·d = −g; return d and the mean overlap of contacts.
 
     The strains are eliminated by their Schur complement.
 

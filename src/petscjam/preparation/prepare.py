@@ -125,12 +125,12 @@ def prepare_packing(
         "polydispersity": float(polydispersity),
     }
     start = Packing(x @ box.cell, radii, box, potential_name, provenance=made_by)
-    log_book = _LogBook(budget, progress)
-    energy = Enthalpy(start, threads=threads, budget=budget, report=log_book)
+    record = _Record(budget, progress)
+    energy = Enthalpy(start, threads=threads, budget=budget, report=record)
     # A box let go before the disks have settled overshoots, and the way back along soft modes is long.
     z = METHODS[method](energy, energy.start, Goal(1e-2 * pressure, 1e-2, 0.0))
-    log_book.close(energy)
-    return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, log_book)
+    record.close(energy)
+    return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, record)
 
 
 @deferred()
@@ -159,14 +159,14 @@ def relax_packing(
     d = packing.mean_diameter
     unit = packing.potential.unit(d)
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
-    book = _LogBook(budget, progress)
+    record = _Record(budget, progress)
     if pressure is None:
-        book.least = DIGITS * ContactNetwork.of(packing).rounding_force / d
-    return _relaxed(packing, pressure, shear_stabilised, method, threads, book)
+        record.least = DIGITS * ContactNetwork.of(packing).rounding_force / d
+    return _relaxed(packing, pressure, shear_stabilised, method, threads, record)
 
 
 def _relaxed(
-    packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int, book: _LogBook
+    packing: Packing, pressure: float | None, stabilised: bool, method: str, threads: int, record: _Record
 ) -> Packing:
     made_by = {**packing.provenance, "pressure": pressure, "shear_stabilised": stabilised, "method": method}
     packing = replace(packing, provenance=made_by)
@@ -174,7 +174,7 @@ def _relaxed(
     way_down: Instability | None = None
     for _ in range(ESCAPES):
         try:
-            packing = _minimum(packing, pressure, stabilised, method, threads, book, way_down)
+            packing = _minimum(packing, pressure, stabilised, method, threads, record, way_down)
         except SolverError:
             if judged is None:
                 raise
@@ -184,8 +184,8 @@ def _relaxed(
             break
         packing = judged
     assert judged is not None
-    book.finish(judged)
-    made_by.update(evaluations=book.spent, history=book.history)
+    record.finish(judged)
+    made_by.update(evaluations=record.spent, history=record.history)
     return replace(judged, provenance=made_by)
 
 
@@ -195,7 +195,7 @@ def _minimum(
     stabilised: bool,
     method: str,
     threads: int,
-    book: _LogBook,
+    record: _Record,
     way_down: Instability | None,
 ) -> Packing:
     """Minimise from ``packing``, or from a little way down along a motion that lowers the energy."""
@@ -206,15 +206,15 @@ def _minimum(
             pressure,
             shape=stabilised,
             threads=threads,
-            budget=book.budget,
-            evaluations=book.spent,
-            report=book,
+            budget=record.budget,
+            evaluations=record.spent,
+            report=record,
         )
 
     def descended(h: Enthalpy, z: Array, slack: float, closeness: float) -> Packing:
         force, relative, error = _goal(h, z)
         z = descend(h, z, Goal(slack * force, relative, error), closeness, method)
-        book.close(h)
+        record.close(h)
         return h.at(z)
 
     h = energy(packing, pressure)
@@ -241,21 +241,20 @@ def _minimum(
 
 
 def _goal(h: Enthalpy, z: Array) -> Goal:
-    """Less than is promised: whoever recomputes the forces from the file rounds differently.
+    """Return goals below the promised tolerances, for forces computed again from the file round differently.
 
-    The floor is what positions of double precision leave; half of it is out of reach for the worst of many
-    disks.
+    The floor is the force that positions in double precision leave on a disk.
     """
     floor = 0.8 * ContactNetwork.of(h.at(z)).rounding_force
     error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
     return Goal(max(0.5e-10 * (h.target or 0.0) * h.diameter, floor), 0.5e-10 * h.diameter, error)
 
 
-class _LogBook:
+class _Record:
     """Budget, progress and history of a preparation that has several stages.
 
-    Disks whose pressure falls below ``least`` are not jammed: contacts that open take the forces along, and a
-    goal in units of these recedes for ever.
+    Disks whose pressure falls below ``least`` are not jammed: as contacts open, forces and pressure fall together,
+    and a goal in units of the pressure is never reached.
     """
 
     least = 0.0
@@ -263,7 +262,7 @@ class _LogBook:
     def __init__(self, budget: int, progress: Report | None) -> None:
         self.budget, self.progress = budget, progress
         self.spent = 0
-        self.history: dict[str, list] = {"evaluations": [], "phi": [], "pressure": [], "force": []}
+        self.history: dict[str, list[float]] = {"evaluations": [], "phi": [], "pressure": [], "force": []}
         self._every = 1
         self._done = 0.0
 
@@ -288,7 +287,7 @@ class _LogBook:
             self.progress(self._done, text)
 
     def close(self, h: Enthalpy) -> None:
-        """Book the evaluations of a stage."""
+        """Add the evaluations of a stage."""
         self.spent = h.evaluations
 
     def _note(self, h: Enthalpy, z: Array) -> None:
@@ -351,7 +350,12 @@ def _radii(n: int, ratio: float, composition: float, polydispersity: float, rand
 def check(n: int, pressure: float, seed: int, **others: Any) -> None:
     """Raise the InputError that :func:`prepare_packing` would raise on these arguments.
 
-    ``others`` are keyword arguments of it, by name; those left out are taken to be right.
+    Parameters
+    ----------
+    n, pressure, seed
+        As for :func:`prepare_packing`.
+    **others
+        Keyword arguments of it; those left out are taken to be right.
     """
     ranges.PREPARED.check("prepare: the number of disks", n)
     if not isinstance(pressure, Real):
@@ -377,7 +381,14 @@ def check_relaxation(
 ) -> None:
     """Raise the InputError that :func:`relax_packing` would raise on these arguments.
 
-    ``unit`` is the pressure k·d^(α − 2) of contacts whose overlap is d.
+    Parameters
+    ----------
+    n : int
+        Number of disks.
+    pressure, stabilised, method, budget
+        As for :func:`relax_packing`.
+    unit : float
+        Pressure k·d^(α − 2) of contacts whose overlap is d.
     """
     if pressure is None:
         if stabilised:

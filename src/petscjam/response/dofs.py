@@ -6,7 +6,7 @@ Axes: i disk, d degree of freedom of a disk (ux, uy, θ).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import total
 from petscjam.rows.kinematics import Field, Form, Mask, translations
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +38,13 @@ class Ownership:
 
     @classmethod
     def of(cls, packing: Packing, ranks: int) -> Ownership:
-        """Deal the disks of ``packing`` to ``ranks`` in equal strips along a short lattice vector."""
+        """Deal the disks of ``packing`` to ``ranks`` in equal strips along a short lattice vector.
+
+        Parameters
+        ----------
+        packing : Packing
+        ranks : int
+        """
         s = packing.positions @ np.linalg.inv(packing.box.reduced)
         order = np.argsort(s[:, 1] % 1.0, kind="stable")
         owner = np.empty(len(packing), dtype=np.int64)
@@ -61,7 +70,14 @@ class Dofs:
 
     @classmethod
     def number(cls, active: Mask, ownership: Ownership, ranks: int) -> Dofs:
-        """Number the ``active`` (N, 3) degrees of freedom."""
+        """Number the ``active`` (N, 3) degrees of freedom.
+
+        Parameters
+        ----------
+        active : (N, 3) bool
+        ownership : Ownership
+        ranks : int
+        """
         index = np.full(active.shape, -1, dtype=np.int64)
         ordered = active[ownership.order]
         numbers = np.full(active.shape, -1, dtype=np.int64)
@@ -89,15 +105,36 @@ class Dofs:
         return int(ends[rank] - self.counts[rank]), int(ends[rank])
 
     def scatter(self, field: NDArray[Any], rank: int) -> NDArray[Any]:
-        """Return this rank's unknowns out of ``field`` (N, 3)."""
+        """Return this rank's unknowns out of ``field`` (N, 3).
+
+        Parameters
+        ----------
+        field : (N, 3)
+        rank : int
+
+        Returns
+        -------
+        (n,)
+        """
         start, stop = self.rows_of(rank)
         mine = (self.index >= start) & (self.index < stop)
         values = np.empty(stop - start, dtype=field.dtype)
         values[self.index[mine] - start] = field[mine]
         return values
 
-    def gather(self, local: NDArray, comm: Any) -> Field:
-        """Return the field (N, 3), on every rank, from each rank's unknowns; zero elsewhere."""
+    def gather(self, local: NDArray[Any], comm: MPI.Comm) -> Field:
+        """Return the field (N, 3), on every rank, from each rank's unknowns; zero elsewhere.
+
+        Parameters
+        ----------
+        local : (n,)
+            This rank's unknowns.
+        comm : MPI communicator
+
+        Returns
+        -------
+        (N, 3) complex
+        """
         values = np.empty(self.size, dtype=complex)
         comm.Allgatherv(np.ascontiguousarray(local, dtype=complex), (values, self.counts))
         field = np.zeros(self.index.shape, dtype=complex)
@@ -105,27 +142,33 @@ class Dofs:
         return field
 
 
-def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Any) -> Mask:
-    """Return the (N, 3) degrees of freedom to solve for: those felt by K or B, less those held.
+def unknowns(K: Form, B: Form, network: ContactNetwork, comm: MPI.Comm) -> Mask:
+    """Return the (N, 3) degrees of freedom to solve for: those that K or B resists, less those held.
 
-    What neither K nor B feels is left out: B is positive semi-definite, so a zero on its diagonal is
-    a zero row (θ without rolling or at β = 0, rattlers without contacts). A joint motion that K
-    ignores and B does not see either leaves K + iωB singular, and one degree of freedom of it is held.
+    B is positive semi-definite, so a zero on its diagonal is a zero row (θ without rolling or at β = 0,
+    rattlers without contacts). A joint motion that neither K nor B resists leaves K + iωB singular, and one
+    degree of freedom of it is held.
+
+    Parameters
+    ----------
+    K, B : Form
+    network : ContactNetwork
+    comm : MPI communicator
     """
     stiffness, friction = total(comm, K.diagonal()), total(comm, B.diagonal())
     active = (stiffness > 0) | (friction > 0)
     anchor = int(np.argmax(network.backbone))
     for motion in free_motions(network):
-        if not sees(B, motion * active, comm):
+        if not resists(B, motion * active, comm):
             active[anchor, np.argmax(np.abs(motion[anchor]))] = False
     return active
 
 
 def free_motions(network: ContactNetwork) -> list[Array]:
-    """Return the joint motions (N, 3) that K ignores: two translations, and the gears' rotation.
+    """Return the joint motions (N, 3) that K does not resist: two translations, and the rotation of gears.
 
-    Disks of alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of
-    contacts is odd; if one is, what is returned slides there, and B sees it.
+    Disks that turn in alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of contacts
+    is odd; if one is, they slide there, and B resists that.
     """
     n = len(network.radii)
     gears = np.zeros((n, 3))
@@ -133,8 +176,15 @@ def free_motions(network: ContactNetwork) -> list[Array]:
     return [*translations(n), gears]
 
 
-def sees(B: Form, motion: NDArray[Any], comm: Any) -> bool:
-    """Tell whether B resists ``motion``, beyond rounding."""
+def resists(B: Form, motion: NDArray[Any], comm: MPI.Comm) -> bool:
+    """Tell whether B resists ``motion`` (N, 3), beyond rounding.
+
+    Parameters
+    ----------
+    B : Form
+    motion : (N, 3)
+    comm : MPI communicator
+    """
     still = np.zeros(len(B.extra))
     dissipated = total(comm, B.product((motion, still), (motion, still))).real
     separately = np.sum(total(comm, B.diagonal()) * np.abs(motion) ** 2)
@@ -142,7 +192,7 @@ def sees(B: Form, motion: NDArray[Any], comm: Any) -> bool:
 
 
 def connected(network: ContactNetwork) -> list[Mask]:
-    """Return the disks (N,) of each piece of the network that hangs together, single disks left out."""
+    """Return the disks (N,) of each connected piece of the network, single disks left out."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -7,10 +7,9 @@ Axes: g point of the grid in (ω, β), m motion.
 
 from __future__ import annotations
 
-import resource
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +20,18 @@ from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
-from petscjam.parallel.memory import check_memory
-from petscjam.parallel.solver import direct_solver
+from petscjam.parallel.memory import peak_memory
+from petscjam.response.basis import ReducedBasis
 from petscjam.response.limits import limit_or_note, zero_frequency
-from petscjam.response.matrices import assembled
-from petscjam.response.motions import Motions
+from petscjam.response.matrices import solving
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum, relaxed
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 PER_DECADE = 4  # points of the grid in ω and β
 MOST_NODES = 80
@@ -111,7 +112,7 @@ def beta_family(
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
     progress: Report | None = None,
@@ -152,28 +153,21 @@ def beta_family(
     normal = viscous_form(problem.network, problem.ownership.owner == comm.rank, [mode], ContactDamping(0.0, rotations))
     rigid = (np.zeros((len(packing), 3), dtype=complex), np.ones(1))
     affine = problem.product(normal, rigid, rigid).real, problem.affine[1]
-    dofs = problem.number(problem.active)
-    needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
-    if progress:
-        progress(0.0, needs)
-    with (
-        assembled(problem.K, problem.B, dofs, comm, normal) as pencil,
-        direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
-    ):
-        motions = Motions(problem, pencil, solver)
+    with solving(problem, progress, normal, **solver_options) as (pencil, solver):
+        basis = ReducedBasis(problem, pencil, solver)
         axes = [per_decade(PER_DECADE, *ends) for ends in (span, betas)]
         grid = np.array(np.meshgrid(*axes, indexing="ij")).reshape(2, -1).T
-        nodes, estimate = _grow(motions, grid, rtol, progress)
-        fields = motions.displacements() if displacements else None
-        K, B1, B0 = motions.reduced
+        nodes, estimate = _grow(basis, grid, rtol, progress)
+        fields = basis.displacements() if displacements else None
+        K, B1, B0 = basis.reduced
         performance = {
             "factorisations": len(nodes),
             "ranks": comm.size,
-            "unknowns": dofs.size,
+            "unknowns": pencil.dofs.size,
             "mumps_MB": solver.memory,
             "flops": solver.flops,
-            "residual": motions.residual,
-            "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+            "residual": basis.residual,
+            "peak_MB": comm.allgather(peak_memory()),
             "seconds": comm.bcast(time.perf_counter() - start),
         }
     if not estimate <= rtol:
@@ -191,7 +185,7 @@ def beta_family(
         estimate=estimate,
         limits=np.full((2, 2), np.nan),
         limit_errors=np.full((2, 2), np.nan),
-        forcing=(motions.norm(pencil.k), motions.norm(pencil.b)),
+        forcing=(basis.norm(pencil.k), basis.norm(pencil.b)),
         affine=problem.affine,
         area=packing.box.area,
         pressure=problem.pressure,
@@ -223,17 +217,17 @@ def beta_family(
     return family
 
 
-def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:
+def _grow(basis: ReducedBasis, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:
     """Add nodes where the residual is largest until the error at a new one is below ``rtol``.
 
     It must be so anywhere, and then once more in each third of the range of β. Returns the nodes (F, 2) and
     an estimate of the error left on the grid (:class:`Family`).
     """
-    comm = motions.problem.comm
-    residual = _Residual(motions)
+    comm = basis.problem.comm
+    residual = _Residual(basis)
     nodes = list(_corners(grid))
     for corner in nodes:
-        residual.add(_vectors(motions, *corner))
+        residual.add(_vectors(basis, *corner))
     fresh = ~(grid[:, None] == np.array(nodes)).all(2).any(1)
     beta = np.log(grid[:, 1])
     third = np.minimum(3 * (beta - beta.min()) / np.ptp(beta), 2).astype(int)
@@ -247,9 +241,9 @@ def _grow(motions: Motions, grid: Array, rtol: float, progress: Report | None) -
         here = choice[np.argmax(size[choice])]
         node, fresh[here] = grid[here], False
         expected = SAFETY * size[here] * max(ratios, default=np.inf)
-        before = _energies(motions, node[None])[0][0]
-        residual.add(_vectors(motions, *node))
-        after = _energies(motions, node[None])[0][0]
+        before = _energies(basis, node[None])[0][0]
+        residual.add(_vectors(basis, *node))
+        after = _energies(basis, node[None])[0][0]
         true = float(comm.bcast(abs(before / after - 1)))
         nodes.append(node)
         ratios += [true / size[here]] if size[here] > 0 else []
@@ -268,22 +262,22 @@ def _corners(grid: Array) -> Array:
     return np.array([[w, beta] for w in (low[0], high[0]) for beta in (low[1], high[1])])
 
 
-def _vectors(motions: Motions, omega: float, beta: float) -> list[Array]:
+def _vectors(basis: ReducedBasis, omega: float, beta: float) -> list[Array]:
     """Factor at (ω, β) and return what q, ∂q/∂ω and ∂q/∂β add to the motions."""
-    pencil = motions.pencil
+    pencil = basis.pencil
     _, B1, B0 = pencil.matrices
-    k, b1, b0 = motions.pulls
-    motions.solver.factor(pencil.combine(1, 1j * omega * beta, 1j * omega * (1 - beta)))
-    q = motions.solve(-(k + 1j * omega * (beta * b1 + (1 - beta) * b0)))
-    normal, tangential = b0 + motions.apply(B0, q), b1 + motions.apply(B1, q)
-    by_omega = motions.solve(beta * tangential + (1 - beta) * normal)
-    by_beta = motions.solve(tangential - normal)
-    return [*motions.beside(q), by_omega.real, by_omega.imag, by_beta.real, by_beta.imag]
+    k, b1, b0 = basis.coupling
+    basis.solver.factor(pencil.combine(1, 1j * omega * beta, 1j * omega * (1 - beta)))
+    q = basis.solve(-(k + 1j * omega * (beta * b1 + (1 - beta) * b0)))
+    normal, tangential = b0 + basis.apply(B0, q), b1 + basis.apply(B1, q)
+    by_omega = basis.solve(beta * tangential + (1 - beta) * normal)
+    by_beta = basis.solve(tangential - normal)
+    return [*basis.new_motions(q), by_omega.real, by_omega.imag, by_beta.real, by_beta.imag]
 
 
-def _energies(motions: Motions, points: Array) -> tuple[NDArray, NDArray]:
+def _energies(basis: ReducedBasis, points: Array) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return G*V of the model at ``points`` (G, 2), and the motions (G, M)."""
-    K, B1, B0 = motions.reduced
+    K, B1, B0 = basis.reduced
     omega, beta = points.T[:, :, None, None]
     A = K + 1j * omega * (beta * B1 + (1 - beta) * B0)
     Q = relaxed(A)
@@ -293,30 +287,30 @@ def _energies(motions: Motions, points: Array) -> tuple[NDArray, NDArray]:
 class _Residual:
     """‖r‖² anywhere in (ω, β), from the products of all forms with all motions."""
 
-    def __init__(self, motions: Motions) -> None:
-        self.motions = motions
-        self.columns: list[NDArray] = []
+    def __init__(self, basis: ReducedBasis) -> None:
+        self.basis = basis
+        self.columns: list[NDArray[Any]] = []
         self.gram = np.zeros((0, 0))
 
     def add(self, vectors: list[Array]) -> None:
         """Extend the motions by ``vectors``."""
-        motions = self.motions
-        new = [] if self.columns else [force[:, None] for force in motions.forces]
-        products = motions.extend(vectors)
+        basis = self.basis
+        new = [] if self.columns else [force[:, None] for force in basis.forces]
+        products = basis.extend(vectors)
         count = len(products) * products[0].shape[1]
         fresh = np.stack(products, axis=2).reshape(len(products[0]), count)  # forms within a motion
         fresh = np.hstack([*new, fresh])
-        across = [motions.dot(block, fresh) for block in self.columns]
-        own = motions.dot(fresh, fresh)
+        across = [basis.dot(block, fresh) for block in self.columns]
+        own = basis.dot(fresh, fresh)
         across_all = np.vstack([np.zeros((0, fresh.shape[1])), *across])
         self.gram = np.block([[self.gram, across_all], [across_all.T, own]])
         self.columns.append(fresh)
 
     def squared(self, grid: Array) -> Array:
         """Return ‖r‖²/((1 + ω/SOFT)|G*V|) at ``grid`` (G, 2): about proportional to the error of G*."""
-        energy, Q = _energies(self.motions, grid)
+        energy, Q = _energies(self.basis, grid)
         omega, beta = grid.T
         c = np.stack([np.ones_like(omega), 1j * omega * beta, 1j * omega * (1 - beta)], axis=1)
         z = (Q[:, :, None] * c[:, None, :]).reshape(len(grid), -1)
         square = np.einsum("gi,gi->g", z.conj(), z @ self.gram).real.clip(0)
-        return square / (1 + omega / (SOFT * self.motions.problem.rate)) / abs(energy)
+        return square / (1 + omega / (SOFT * self.basis.problem.rate)) / abs(energy)

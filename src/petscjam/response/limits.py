@@ -10,16 +10,16 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from petscjam.base.errors import SolverError
+from petscjam.base.types import Array
 from petscjam.geometry.network import rounded
 from petscjam.parallel.comm import total
 from petscjam.parallel.solver import DirectSolver, direct_solver
-from petscjam.response.dofs import sees
+from petscjam.response.dofs import resists
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
-from petscjam.rows.kinematics import Field, Motion, displacements, translations
+from petscjam.rows.kinematics import Field, Mask, Motion, displacements, translations
 
 SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
 NO_FRICTION = 1e-12  # of the largest one, below which a motion has none
@@ -34,20 +34,28 @@ class Limit(NamedTuple):
 
     @classmethod
     def unknown(cls) -> Limit:
-        """Return the limit that could not be had."""
+        """Return NaN for a limit that could not be computed."""
         return cls(np.nan, np.nan, np.nan)
 
 
 def limit_or_note(solve: Callable[[], Limit], notes: list[str], what: str) -> Limit:
-    """Solve for a limit; where it cannot be had, say why in ``notes``."""
+    """Solve for a limit; if that fails, return NaN and append the reason to ``notes``.
+
+    Parameters
+    ----------
+    solve : callable
+    notes : list of str
+    what : str
+        The limits, for the note.
+    """
     try:
         return solve()
     except SolverError as error:
-        notes.append(f"{what} could not be had: {error}")
+        notes.append(f"{what} could not be computed: {error}")
         return Limit.unknown()
 
 
-def quasistatic(problem: LinearProblem) -> tuple[NDArray, float]:
+def quasistatic(problem: LinearProblem) -> tuple[Field, float]:
     """Return the displacements (S, N, 3) that relax the energy at unit strain, and the worst residual.
 
     Raises
@@ -85,7 +93,15 @@ def zero_frequency(problem: LinearProblem) -> Limit:
 
 
 def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> Limit:
-    """Return G∞, η∞: the Schur complement of B, not B_γγ; with the pencil and the solver of a sweep."""
+    """Return G∞, η∞: from the Schur complement of B, not B_γγ.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    pencil : Pencil
+        K and B on the active unknowns.
+    solver : DirectSolver
+    """
     solver.factor(pencil.combine(0, 1))
     x, residual = solver.solve(-pencil.b[:, 0], "B is singular (motions without friction)")
     if _singular(problem, pencil, solver):
@@ -114,9 +130,22 @@ def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> b
 
 
 def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
-    """Let what costs no energy follow ``motion`` with the least dissipation; return the residual, too."""
+    """Let what costs no energy follow a motion with the least dissipation.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    motion : (q, s)
+        Displacements (N, 3) on the backbone and strains (S,).
+
+    Returns
+    -------
+    motion : (q, s)
+    residual : float
+        The largest of the solves.
+    """
     q, s = motion
-    moves = [e for e in translations(len(problem.packing)) if sees(problem.B, e, problem.comm)]
+    moves = [e for e in translations(len(problem.packing)) if resists(problem.B, e, problem.comm)]
     follow = problem.active & ~displacements(problem.backbone.backbone)
     starts: list[Motion] = [(q, s)]
     starts += [(e * problem.backbone.backbone[:, None] + 0j, np.zeros_like(s)) for e in moves]
@@ -130,7 +159,7 @@ def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, f
     return (q, s), residual
 
 
-def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tuple[list[Motion], float]:
+def _follow(problem: LinearProblem, follow: Mask, starts: list[Motion]) -> tuple[list[Motion], float]:
     """Solve for the degrees of freedom ``follow`` of each motion, the others given.
 
     They minimise K + εB. Where there is no stiffness among them, ε drops out; a rattler that touches its
@@ -146,7 +175,7 @@ def _follow(problem: LinearProblem, follow: NDArray, starts: list[Motion]) -> tu
     return done, worst
 
 
-def _minimise(problem: LinearProblem, follow: NDArray, starts: list[Motion], soft: float) -> tuple[list[Motion], float]:
+def _minimise(problem: LinearProblem, follow: Mask, starts: list[Motion], soft: float) -> tuple[list[Motion], float]:
     """Minimise K + ``soft``·B over the degrees of freedom ``follow``."""
     dofs = problem.number(follow)
     done, worst = [], 0.0
@@ -156,14 +185,14 @@ def _minimise(problem: LinearProblem, follow: NDArray, starts: list[Motion], sof
     ):
         solver.factor(pencil.combine(1, soft))
         for q, s in starts:
-            pull: Field = total(problem.comm, problem.K.apply(q, s) + soft * problem.B.apply(q, s))
-            x, residual = solver.solve(-dofs.scatter(pull, problem.comm.rank), "B is singular on what K leaves free")
+            force: Field = total(problem.comm, problem.K.apply(q, s) + soft * problem.B.apply(q, s))
+            x, residual = solver.solve(-dofs.scatter(force, problem.comm.rank), "B is singular on what K leaves free")
             done.append((q + dofs.gather(x, problem.comm), s))
             worst = max(worst, residual)
     return done, worst
 
 
-def _unit(problem: LinearProblem) -> NDArray:
+def _unit(problem: LinearProblem) -> Array:
     return np.eye(len(problem.strains))[0]
 
 

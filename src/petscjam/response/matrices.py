@@ -10,24 +10,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from petscjam.base.progress import Report
 from petscjam.parallel.matrix import symmetric_matrix
-from petscjam.parallel.memory import give_back_memory
+from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, stage
+from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import Dofs
+from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Form
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 ROUNDING = 1e-14  # what is left of entries that cancel, of the largest one
 
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
-    """The pair (K, B) on the unknowns of ``dofs``, and further forms beside it.
+    """The pair (K, B) on the unknowns of ``dofs``, and further forms.
 
     Attributes
     ----------
@@ -37,7 +43,7 @@ class Pencil:
         One for each form, all on one pattern.
     A : PETSc.Mat
         The latest combination, on the same pattern.
-    pulls : tuple of (local rows, S) arrays
+    coupling : tuple of (local rows, S) arrays
         This rank's rows of K_uγ, B_uγ, ….
     vectors : (PETSc.Vec, PETSc.Vec)
         To work with: a column and a row of A.
@@ -47,7 +53,7 @@ class Pencil:
     forms: tuple[Form, ...]
     matrices: tuple[Any, ...]
     A: Any
-    pulls: tuple[NDArray, ...]
+    coupling: tuple[NDArray[Any], ...]
     vectors: tuple[Any, Any]
 
     @property
@@ -61,14 +67,14 @@ class Pencil:
         return self.matrices[1]
 
     @property
-    def k(self) -> NDArray:
+    def k(self) -> NDArray[Any]:
         """Rows of K_uγ that belong to this rank."""
-        return self.pulls[0]
+        return self.coupling[0]
 
     @property
-    def b(self) -> NDArray:
+    def b(self) -> NDArray[Any]:
         """Rows of B_uγ that belong to this rank."""
-        return self.pulls[1]
+        return self.coupling[1]
 
     def combine(self, *coefficients: complex) -> Any:
         """Fill A with the sum of the matrices, each times its coefficient."""
@@ -81,10 +87,16 @@ class Pencil:
 
 
 @contextmanager
-def assembled(K: Form, B: Form, dofs: Dofs, comm: Any, *further: Form) -> Iterator[Pencil]:
+def assembled(K: Form, B: Form, dofs: Dofs, comm: MPI.Comm, *further: Form) -> Iterator[Pencil]:
     """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context.
 
-    ``further`` forms must have no entry where K + iB has none.
+    Parameters
+    ----------
+    K, B : Form
+    dofs : Dofs
+    comm : MPI communicator
+    *further : Form
+        They must have no entry where K + iB has none.
     """
     with stage("assemble"):
         pencil = _assemble((K, B, *further), dofs, comm)
@@ -93,17 +105,49 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Any, *further: Form) -> Iterat
         yield pencil
 
 
-def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Any) -> Pencil:
+@contextmanager
+def solving(
+    problem: LinearProblem, progress: Report | None = None, *further: Form, **solver_options: Any
+) -> Iterator[tuple[Pencil, DirectSolver]]:
+    """Give K, B and ``further`` forms on the active unknowns of ``problem``, and a solver for their combinations.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    progress : callable
+        Called with 0 and what the factor needs, before any work.
+    *further : Form
+        As for :func:`assembled`.
+    **solver_options
+        ``out_of_core`` and ``block_low_rank`` of :func:`petscjam.parallel.solver.direct_solver`.
+
+    Raises
+    ------
+    InputError
+        If the factor needs more memory than is free.
+    """
+    comm, dofs = problem.comm, problem.number(problem.active)
+    needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
+    if progress:
+        progress(0.0, needs)
+    with (
+        assembled(problem.K, problem.B, dofs, comm, *further) as pencil,
+        direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
+    ):
+        yield pencil, solver
+
+
+def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: MPI.Comm) -> Pencil:
     start, stop = dofs.rows_of(comm.rank)
     (K, k), (B, b), *further = (form.matrices(dofs.flat, slice(start, stop)) for form in forms)
     both = (K + 1j * B).tocsr()  # K and B are real: as K + iB they share one pattern
     both.sort_indices()
     values = [both.data.real, both.data.imag, *(_on_pattern(rows, both) for rows, _ in further)]
     *matrices, A = (symmetric_matrix(both.indptr, both.indices, part, dofs.size, comm) for part in (*values, both.data))
-    return Pencil(dofs, forms, tuple(matrices), A, (k, b, *(pull for _, pull in further)), A.createVecs())
+    return Pencil(dofs, forms, tuple(matrices), A, (k, b, *(coupling for _, coupling in further)), A.createVecs())
 
 
-def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray:
+def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray[Any]:
     """Return the values of ``rows`` at the entries of ``pattern``, which has all of theirs."""
     width = rows.shape[1]
     places, wanted = (

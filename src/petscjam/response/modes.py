@@ -9,7 +9,7 @@ import time
 from argparse import ArgumentParser
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,16 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, on_root, resolve, total
 from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
-from petscjam.parallel.memory import check_memory, give_back_memory
+from petscjam.parallel.memory import check_memory
 from petscjam.preparation.certify import EPS, below_all, hessian, pivots_below
 from petscjam.response.dofs import Dofs
 from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
@@ -143,7 +145,7 @@ def lowest_modes(
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> Modes:
@@ -159,19 +161,12 @@ def lowest_modes(
 
     Parameters
     ----------
-    packing : Packing
     count : int
         At least 1; at most 2n − 2 are returned, n the disks of the backbone.
-    prestress : bool
-        Keep the second term of BT eq. 4.
     strain : str
         ``simple-shear``, ``pure-shear`` or ``compression``: what ``amplitudes`` and ``softening`` answer to.
-    comm : MPI communicator
-        Left out: COMM_SELF. Results are the same arrays on every rank.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, prestress, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------
@@ -183,8 +178,7 @@ def lowest_modes(
     comm, start = resolve(comm), time.perf_counter()
     agree(comm, packing, count, prestress, strain)
     mode = strain_mode(strain)
-    # which law is immaterial: only K enters
-    problem = LinearProblem(packing, ContactDamping(), [mode], prestress, comm)
+    problem = LinearProblem.elastic(packing, prestress, comm, mode)
     network = problem.backbone
     check(count, network)
     dofs = problem.number(displacements(network.backbone))
@@ -249,8 +243,20 @@ def signs(vectors: Array) -> Array:
     return np.sign(np.take_along_axis(vectors, largest[:, None], axis=1))[:, 0]
 
 
-def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray) -> Array:
-    """Return the displacements of the backbone, (M, 2n), on every rank, of local ``columns``."""
+def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray[Any]) -> Array:
+    """Return the displacements of the backbone on every rank.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    dofs : Dofs
+    columns : (n, M)
+        This rank's rows.
+
+    Returns
+    -------
+    (M, 2n)
+    """
     backbone = problem.backbone.backbone
     gathered = [dofs.gather(column, problem.comm)[backbone, :2].real.ravel() for column in columns.T]
     return np.array(gathered)
@@ -277,17 +283,21 @@ def _searched(problem: LinearProblem, pencil: Pencil, count: int, stiffest: floa
     rigid = [pencil.dofs.scatter(e, comm.rank) * (size / 2) ** -0.5 for e in translations(len(problem.packing))]
 
     def search(wanted: int, known: Array | None) -> Pairs:
-        found = lowest_pairs(pencil.K, wanted, shift, leave_out=rigid, known=known)
-        if progress:
-            progress(0.8, f"{len(found.values)} modes, residual {found.residuals.max():.0e}")
-        return found
+        return lowest_pairs(pencil.K, wanted, shift, leave_out=rigid, known=known)
 
     def count_below(sigma: float, room: float) -> int:
-        below = on_root(comm, lambda: pivots_below(hessian(network, problem.prestress), sigma, room))
-        give_back_memory()
-        return below
+        return pivots_below(hessian(network, problem.prestress), sigma, room)
 
-    return search_all(search, count_below, count, size - 2, least=lambda _: ZERO * stiffest, left_out=(0.0, 0.0))
+    return search_all(
+        search,
+        count_below,
+        count,
+        size - 2,
+        comm,
+        least=lambda _: ZERO * stiffest,
+        left_out=(0.0, 0.0),
+        progress=progress,
+    )
 
 
 def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> Search:

@@ -5,9 +5,8 @@ Axes: w frequency, i disk, x Cartesian.
 
 from __future__ import annotations
 
-import resource
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,15 +16,18 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve
-from petscjam.parallel.memory import check_memory
-from petscjam.parallel.solver import LARGEST_RESIDUAL, DirectSolver, direct_solver
+from petscjam.parallel.memory import peak_memory
+from petscjam.parallel.solver import LARGEST_RESIDUAL, DirectSolver
 from petscjam.response.limits import infinite_frequency, limit_or_note, quasistatic, zero_frequency
-from petscjam.response.matrices import Pencil, assembled
+from petscjam.response.matrices import Pencil, solving
 from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import ComplexModulus
-from petscjam.rows.damping import ContactDamping, DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 def complex_modulus(
@@ -35,7 +37,7 @@ def complex_modulus(
     damping: DampingLaw | None = None,
     strain: str = "simple-shear",
     prestress: bool = True,
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     fields_at: ArrayLike = (),
     name: str = "packing",
     progress: Report | None = None,
@@ -44,23 +46,12 @@ def complex_modulus(
 
     Parameters
     ----------
-    packing : Packing
     omegas : (W,) array_like
         Angular frequencies in 1/τ1, all > 0.
-    damping : DampingLaw
-        Left out: :class:`ContactDamping` with β = 1 and rotations.
-    strain : str
-        ``simple-shear``, ``pure-shear`` or ``compression`` (the complex bulk modulus).
-    prestress : bool
-        Keep the second term of BT eq. 4.
-    comm : MPI communicator
-        Left out: COMM_SELF. Results are the same arrays on every rank.
     fields_at : array_like
         Frequencies of the sweep whose displacement fields are kept.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, damping, strain, prestress, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------
@@ -79,12 +70,7 @@ def complex_modulus(
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
-    dofs = problem.number(problem.active)
-    check_memory(comm, dofs.size)
-    with (
-        assembled(problem.K, problem.B, dofs, comm) as pencil,
-        direct_solver(comm, "petscjam_", definite=problem.definite) as solver,
-    ):
+    with solving(problem, progress) as (pencil, solver):
         for w, frequency in enumerate(omega):
             q, residuals[w], coupling = _solve(problem, pencil, solver, frequency)
             values[w], balance[w] = _moduli(problem, q, frequency, coupling)
@@ -122,16 +108,24 @@ def complex_modulus(
             "factorisations": factorisations,
             "ranks": comm.size,
             "mumps_MB": memory,
-            "peak_MB": comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+            "peak_MB": comm.allgather(peak_memory()),
         },
     )
 
 
-def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = None) -> Array:
+def elastic_constants(packing: Packing, *, prestress: bool = True, comm: MPI.Comm | None = None) -> Array:
     """Return the elastic constants (3, 3) over (xx, yy, xy): C_abcd = ∂²U/∂ε_ab∂ε_cd / V, relaxed.
 
     They are second derivatives with respect to the symmetric linear strain F = 1 + ε, so with
     pre-stress C_xyxy exceeds the simple-shear modulus by (3p_yy − p_xx)/4.
+
+    Parameters
+    ----------
+    packing : Packing
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    comm : MPI communicator
+        Left out: COMM_SELF.
 
     Raises
     ------
@@ -140,8 +134,7 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Any = N
     """
     comm = resolve(comm)
     agree(comm, packing, prestress)
-    # which law is immaterial: only K enters
-    problem = LinearProblem(packing, ContactDamping(), SYMMETRIC_STRAINS, prestress, comm)
+    problem = LinearProblem.elastic(packing, prestress, comm, *SYMMETRIC_STRAINS)
     fields, _ = quasistatic(problem)
     for note in problem.notes:
         warnings.warn(f"elastic constants: {note}", stacklevel=2)

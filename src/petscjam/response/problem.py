@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +16,14 @@ from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import on_root, total
 from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import petsc
-from petscjam.preparation.certify import dependent_rows, modes
+from petscjam.preparation.certify import count_modes, dependent_rows
 from petscjam.response.dofs import Dofs, Ownership, unknowns
 from petscjam.response.origin import Origin
-from petscjam.rows.damping import DampingLaw, viscous_form
-from petscjam.rows.kinematics import Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
+from petscjam.rows.damping import ContactDamping, DampingLaw, viscous_form
+from petscjam.rows.kinematics import SIMPLE_SHEAR, Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
@@ -28,8 +31,29 @@ NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam 
 class LinearProblem:
     """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
 
-    Rattlers are taken out, unless the law drags them along. Without ``fluid`` B lacks its viscosity.
-    ``affine`` is (K_γγ, B_γγ); ``notes`` say what could not be had, and why.
+    Rattlers are taken out, unless the law acts on each disk.
+
+    Parameters
+    ----------
+    packing : Packing
+    law : DampingLaw
+    strains : sequence of StrainMode
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    comm : MPI communicator
+    fluid : bool
+        Whether B has the viscosity of the fluid.
+
+    Attributes
+    ----------
+    K, B : Form
+        Of all contacts; K_backbone and B_backbone without those of rattlers.
+    active : (N, 3) bool
+        Degrees of freedom that are solved for.
+    affine : (float, float)
+        K_γγ and B_γγ of the first strain mode.
+    notes : list of str
+        What could not be computed, and why.
 
     Raises
     ------
@@ -43,7 +67,7 @@ class LinearProblem:
         law: DampingLaw,
         strains: Sequence[StrainMode],
         prestress: bool,
-        comm: Any,
+        comm: MPI.Comm,
         *,
         fluid: bool = True,
     ) -> None:
@@ -74,6 +98,21 @@ class LinearProblem:
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
         self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
 
+    @classmethod
+    def elastic(cls, packing: Packing, prestress: bool, comm: MPI.Comm, *strains: StrainMode) -> LinearProblem:
+        """Return the problem of which only K is used.
+
+        The contacts are those of the backbone; the law, contact damping, plays no part.
+
+        Parameters
+        ----------
+        packing, prestress, comm
+            As for the class.
+        *strains : StrainMode
+            Left out: simple shear.
+        """
+        return cls(packing, ContactDamping(), strains or (SIMPLE_SHEAR,), prestress, comm)
+
     @property
     def rate(self) -> float:
         """Rate at which a contact relaxes by itself, 1/τ1: its mean stiffness over its friction kτ1."""
@@ -102,7 +141,7 @@ class LinearProblem:
         if known.checksum == self.packing.checksum and (counts == (0, 0) or (self.prestress and None not in counts)):
             return counts  # without pre-stress K is stiffer still
         try:
-            return on_root(self.comm, modes, self.backbone, self.prestress)
+            return on_root(self.comm, count_modes, self.backbone, self.prestress)
         except SolverError as error:
             self.notes.append(f"the negative and zero modes could not be counted: {error}")
             return None, None
@@ -142,7 +181,14 @@ class LinearProblem:
         return Dofs.number(active, self.ownership, self.comm.size)
 
     def product(self, form: Form, left: Motion, right: Motion) -> complex:
-        """Return ⟨left, form right⟩, the left conjugated, summed over all ranks."""
+        """Return ⟨left, form right⟩, summed over all ranks.
+
+        Parameters
+        ----------
+        form : Form
+        left, right : (q, s)
+            Displacements (N, 3) and strains (S,); the left one is conjugated.
+        """
         return complex(total(self.comm, form.product(left, right)))
 
     def displacement(self, q: Field) -> Field:

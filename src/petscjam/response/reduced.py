@@ -8,12 +8,11 @@ Axes: n local rows, m motion (0 is Q₀, with strain 1), k node.
 
 from __future__ import annotations
 
-import resource
 import time
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +23,18 @@ from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import agree, resolve, total
-from petscjam.parallel.memory import check_memory
-from petscjam.parallel.solver import DirectSolver, direct_solver
+from petscjam.parallel.memory import peak_memory
+from petscjam.parallel.solver import DirectSolver
+from petscjam.response.basis import ReducedBasis
 from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
-from petscjam.response.matrices import Pencil, assembled
-from petscjam.response.motions import Motions
+from petscjam.response.matrices import Pencil, solving
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 PER_DECADE = 32  # frequencies at which the certificate is asked for
 EVERY = 4  # and every so many of them may become a node
@@ -56,7 +58,7 @@ def spectrum(
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
     progress: Report | None = None,
@@ -104,14 +106,7 @@ def spectrum(
     checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)
     problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm, fluid=False)
-    dofs = problem.number(problem.active)
-    needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
-    if progress:
-        progress(0.0, needs)
-    with (
-        assembled(problem.K, problem.B, dofs, comm) as pencil,
-        direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
-    ):
+    with solving(problem, progress, **solver_options) as (pencil, solver):
         grow = _Projection(problem, pencil, solver)
         make = partial(
             Spectrum,
@@ -134,10 +129,10 @@ def spectrum(
             found = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
             limits[1], limit_errors[1] = (found.G, found.eta + model.fluid), found.residual
         motions = grow.displacements() if displacements else None
-        performance = {
+        performance: dict[str, Any] = {
             "factorisations": len(grow.nodes),
             "ranks": comm.size,
-            "unknowns": dofs.size,
+            "unknowns": pencil.dofs.size,
             "mumps_MB": solver.memory,
             "flops": solver.flops,
             "residual": grow.residual,
@@ -147,7 +142,7 @@ def spectrum(
         limits[0], limit_errors[0] = (found.G, found.eta + model.fluid), found.residual
     elif problem.pressed_rattlers:
         problem.notes.append("rattlers are pressed: not in mechanical equilibrium, G0 and η0 are of the model")
-    performance["peak_MB"] = comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    performance["peak_MB"] = comm.allgather(peak_memory())
     performance["seconds"] = comm.bcast(time.perf_counter() - start)
     return replace(
         model,
@@ -183,7 +178,7 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
     try:
         return model.own_limits()
     except SolverError as error:
-        notes.append(f"the relaxations could not be had: {error}")
+        notes.append(f"the relaxations could not be computed: {error}")
         return np.full((2, 2), np.nan), np.full((2, 2), np.nan)
 
 
@@ -231,7 +226,7 @@ class _Node:
     forces: Complex
 
 
-class _Projection(Motions):
+class _Projection(ReducedBasis):
     """Motions from nodes of one pencil (K, B), and what bounds the error they leave."""
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
@@ -245,10 +240,10 @@ class _Projection(Motions):
 
     def add(self, omega: float, order: int) -> None:
         """Factor K + iωB, and add q and its derivatives below ``order`` to the motions."""
-        k, b = self.pulls
+        k, b = self.coupling
         self.solver.factor(self.pencil.combine(1, 1j * omega))
         q = self.solve(-(k + 1j * omega * b), drag=b)
-        new = self.beside(q)
+        new = self.new_motions(q)
         forces = b + self.apply(self.pencil.B, q)
         top = self.solve(forces)
         for _ in range(order - 1):

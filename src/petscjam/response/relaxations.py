@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, on_root, resolve, total
+from petscjam.parallel.comm import agree, resolve, total
 from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
-from petscjam.parallel.memory import check_memory, give_back_memory
+from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import destroying, petsc
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.preparation.certify import negative_pivots, pivots_below
@@ -31,6 +31,9 @@ from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
 from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
@@ -92,7 +95,7 @@ def relaxation_modes(
     damping: DampingLaw | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> RelaxationModes:
@@ -105,21 +108,14 @@ def relaxation_modes(
 
     Parameters
     ----------
-    packing : Packing
     count : int
         At least 1; at most 2n − 2 are returned, n the disks of the backbone.
     damping : DampingLaw
         Left out: :class:`ContactDamping` with β = 1 and rotations.
-    prestress : bool
-        Keep the second term of BT eq. 4.
     strain : str
         ``simple-shear``, ``pure-shear`` or ``compression``: what ``weights`` answer to.
-    comm : MPI communicator
-        Left out: COMM_SELF. Results are the same arrays on every rank.
-    name : str
-        Stored with the result.
-    progress : callable
-        Called on every rank with a fraction and a text.
+    packing, prestress, comm, name, progress
+        As for :func:`petscjam.spectrum`.
 
     Raises
     ------
@@ -179,7 +175,7 @@ class _Relaxations(NamedTuple):
 
 
 def _under_contact_damping(problem: LinearProblem, count: int, progress: Report | None) -> _Relaxations:
-    """Return the slowest relaxations; B does not see translations, and one disk is held."""
+    """Return the slowest relaxations; B does not resist translations, and one disk is held."""
     comm = problem.comm
     dofs = problem.number(problem.active)
     needs = check_memory(comm, dofs.size)
@@ -190,23 +186,18 @@ def _under_contact_damping(problem: LinearProblem, count: int, progress: Report 
         count = min(count, most)
 
         def search(wanted: int, known: Array | None) -> Pairs:
-            found = pencil_pairs(part.minus_B, part.K, wanted, known=known, prefix="petscjam_relaxations_")
-            if progress:
-                progress(0.8, f"{len(found.values)} relaxations")
-            return found
+            return pencil_pairs(part.minus_B, part.K, wanted, known=known, prefix="petscjam_relaxations_")
 
         def count_below(sigma: float, room: float) -> int:
-            slower = on_root(comm, _slower, problem, -sigma, room)
-            give_back_memory()
-            return slower
+            return _slower(problem, -sigma, room)
 
         def least(values: Array) -> float:
             return INSTANT * float(abs(values[0]))
 
-        searched = search_all(search, count_below, count, most, least=least)
+        searched = search_all(search, count_below, count, most, comm, least=least, progress=progress)
         pairs, own = searched.pairs, probe(dofs, comm.rank)[part.moves]
         found = settled(part.minus_B, part.K, pairs, count, own, least(pairs.values))
-        k, b = (total(comm, found.vectors.T @ pull) for pull in (part.k, part.b))
+        k, b = (total(comm, found.vectors.T @ coupling) for coupling in (part.k, part.b))
         fields = np.zeros((len(pencil.k), count), dtype=complex)
         fields[part.moves] = found.vectors
         vectors = everywhere(problem, dofs, fields)
@@ -290,7 +281,7 @@ class _Following:
 
 
 @contextmanager
-def _eliminated(pencil: Pencil, comm: Any) -> Iterator[_Eliminated]:
+def _eliminated(pencil: Pencil, comm: MPI.Comm) -> Iterator[_Eliminated]:
     PETSc = petsc()
     start, _ = pencil.dofs.rows_of(comm.rank)
     moves = pencil.dofs.scatter(displacements(np.ones(len(pencil.dofs.index), dtype=bool)), comm.rank)

@@ -45,7 +45,7 @@ class ComplexModulus(Judged):
         Frequencies whose displacements are kept.
     fields : (F, N, 2) complex
         Non-affine displacement per unit strain; NaN on rattlers that were taken out. Where the law does
-        not see a translation, the mean over the backbone is zero.
+        not resist a translation, the mean over the backbone is zero.
     geometry : Packing or None
         The packing, kept with the fields.
     performance : dict

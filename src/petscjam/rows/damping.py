@@ -137,8 +137,15 @@ def viscous_form(
 ) -> Form:
     """Return B: twice the Rayleigh dissipation function of ``law`` (BT eqs. 6 and 8).
 
-    ``times`` (C,), in τ1, multiplies the friction of each contact. Without ``fluid`` its viscosity is left
-    out: it adds iωηF to G*, and changes nothing else.
+    Parameters
+    ----------
+    network, my_disks, strains
+        As for :func:`petscjam.rows.kinematics.form`.
+    law : DampingLaw
+    times : float or (C,)
+        Factor of the friction of each contact, in τ1.
+    fluid : bool
+        Whether B has the viscosity of the fluid: it adds iωηF to G*, and changes nothing else.
     """
     weights = np.multiply.outer(np.broadcast_to(times, len(network)), [law.normal, law.tangential])
     eta = law.fluid if fluid else 0.0

@@ -103,12 +103,26 @@ class Form:
     my_disks: Mask
 
     def relative(self, q: Field, s: ArrayLike) -> Field:
-        """Return Δu∥ and Δu⊥ of each contact, (A,), for the motion ``q`` (N, 3) at strains ``s`` (S,)."""
+        """Return Δu∥ and Δu⊥ of each contact in turn, (A,).
+
+        Parameters
+        ----------
+        q : (N, 3) complex
+            Motion beyond the affine one; rotations are θ times the mean diameter.
+        s : (S,)
+            Strains.
+        """
         parts = np.ascontiguousarray(q, dtype=complex).view(float).reshape(-1, 2)  # real and imaginary
         return (self.rows @ parts).view(complex)[:, 0] + self.strain_rows @ np.asarray(s)
 
     def product(self, left: Motion, right: Motion) -> complex:
-        """Return this rank's share of ⟨left, form right⟩; each side is (q, s), the left conjugated."""
+        """Return this rank's share of ⟨left, form right⟩.
+
+        Parameters
+        ----------
+        left, right : (q, s)
+            As for :meth:`relative`; the left one is conjugated.
+        """
         (ql, sl), (qr, sr) = left, right
         contacts = np.vdot(self.relative(ql, sl), self.mine * self.weights * self.relative(qr, sr))
         body = self.body * np.vdot(ql[self.my_disks, :2], qr[self.my_disks, :2])
@@ -116,7 +130,13 @@ class Form:
         return complex(contacts + body + cell)
 
     def apply(self, q: Field, s: ArrayLike) -> Field:
-        """Return this rank's share of the generalised force on every disk, (N, 3)."""
+        """Return this rank's share of the generalised force on every disk, (N, 3).
+
+        Parameters
+        ----------
+        q, s
+            As for :meth:`relative`.
+        """
         force = (self.rows.T @ (self.mine * self.weights * self.relative(q, s))).reshape(-1, 3)
         force[self.my_disks, :2] += self.body * q[self.my_disks, :2]
         return force
@@ -166,7 +186,21 @@ def translations(n: int) -> list[Array]:
 def contact_rows(
     network: ContactNetwork, strains: Sequence[StrainMode], *, at_contact_point: bool
 ) -> tuple[csr_array, Array]:
-    """Return the rows, sparse (2C, 3N), normal and tangential in turn, and their strain columns (2C, S)."""
+    """Return the rows of Δu∥ and Δu⊥ (BT eqs. 4–6).
+
+    Parameters
+    ----------
+    network : ContactNetwork
+    strains : sequence of StrainMode
+    at_contact_point : bool
+        Whether Δu⊥ is taken where the disks touch, and rotations count.
+
+    Returns
+    -------
+    rows : sparse (2C, 3N)
+        Of Δu∥ and Δu⊥ of each contact in turn.
+    strain_rows : (2C, S)
+    """
     n = network.normal
     t = np.stack([-n[:, 1], n[:, 0]], axis=1)
     arms = at_contact_point * network.radii / network.mean_diameter
@@ -199,7 +233,23 @@ def form(
     body: float = 0.0,
     extra: Array,
 ) -> Form:
-    """Return what the owner of ``my_disks`` (N,) needs of a form with ``weights`` (C, 2)."""
+    """Return the rows of a form that touch ``my_disks``.
+
+    Parameters
+    ----------
+    network : ContactNetwork
+    my_disks : (N,) bool
+        Disks of this rank.
+    strains : sequence of StrainMode
+    weights : (C, 2)
+        Of (Δu∥)² and (Δu⊥)².
+    at_contact_point : bool
+        As in :func:`contact_rows`.
+    body : float
+        Weight of |u_i|².
+    extra : (S, S)
+        Form of the strains alone.
+    """
     touching = my_disks[network.i] | my_disks[network.j]
     part = network.only(touching)
     rows, strain_rows = contact_rows(part, strains, at_contact_point=at_contact_point)
@@ -208,7 +258,15 @@ def form(
 
 
 def elastic_form(network: ContactNetwork, my_disks: Mask, strains: Sequence[StrainMode], *, prestress: bool) -> Form:
-    """Return K: stiffness k on Δu∥ and, with pre-stress, −f/r on Δu⊥ (BT eq. 4)."""
+    """Return K: stiffness k on Δu∥ and, with pre-stress, −f/r on Δu⊥ (BT eq. 4).
+
+    Parameters
+    ----------
+    network, my_disks, strains
+        As for :func:`form`.
+    prestress : bool
+        Whether the second term counts.
+    """
     transverse = -network.force / network.distance * prestress
     weights = np.stack([network.stiffness, transverse], axis=1)
     # a nonlinear F(s) adds the first derivative of the energy, −Σ f n·F″r

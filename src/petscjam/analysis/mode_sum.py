@@ -1,12 +1,13 @@
-"""The quasi-static response rebuilt from the lowest modes, beside the direct solve (BT Fig. 5).
+"""The quasi-static response as a sum over the lowest modes, compared with the direct solve (BT Fig. 5).
 
 Axes: m mode, k number of modes, a motion (parallel, transverse, non-affine).
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -17,11 +18,14 @@ from petscjam.geometry.packing import Packing
 from petscjam.response.modes import lowest_modes
 from petscjam.response.origin import Result, stored
 
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
 POINTS = 40  # numbers of modes, evenly in their logarithm
 
 
 @dataclass(frozen=True, eq=False)
-class Rebuilt(Result):
+class ModeSum(Result):
     """How the response per unit strain builds up from the lowest modes of K. Units as in :class:`Modes`.
 
     Attributes
@@ -64,19 +68,22 @@ class Rebuilt(Result):
         return self.medians / self.direct[:, None]
 
 
-def rebuilt_response(
+def mode_sum(
     packing: Packing,
     count: int = 50,
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: Any = None,
+    comm: MPI.Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
-) -> Rebuilt:
-    """Rebuild the response at ω → 0 from up to ``count`` modes; the vectors are not kept.
+) -> ModeSum:
+    """Return how the response at ω → 0 converges with the number of modes summed; the vectors are not kept.
 
-    The parameters are those of :func:`petscjam.lowest_modes`.
+    Parameters
+    ----------
+    packing, count, prestress, strain, comm, name, progress
+        As for :func:`petscjam.lowest_modes`; sums of up to ``count`` modes are taken.
 
     Raises
     ------
@@ -92,7 +99,7 @@ def rebuilt_response(
         motion = found.response(int(m))
         sizes = abs(motion.parallel), abs(motion.transverse), np.linalg.norm(motion.nonaffine, axis=1)
         medians[:, k] = [np.median(size) for size in sizes]
-    return Rebuilt(
+    return ModeSum(
         counts=counts,
         medians=medians,
         direct=np.array([np.median(direct.sizes(motion)) for motion in MOTIONS]),
@@ -105,3 +112,9 @@ def rebuilt_response(
         origin=found.origin,
         notes=found.notes,
     )
+
+
+def rebuilt_response(*arguments: Any, **options: Any) -> ModeSum:
+    """Call :func:`mode_sum`, of which this is the former name."""
+    warnings.warn("rebuilt_response is now called mode_sum", FutureWarning, stacklevel=2)
+    return mode_sum(*arguments, **options)

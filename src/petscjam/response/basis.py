@@ -1,4 +1,4 @@
-"""Motions that span a reduced model, distributed, and a few matrices between them.
+"""The motions that span a reduced model, distributed over the ranks, and the forms between them.
 
 The first one, Q₀, has strain 1; the others have none and are orthonormal.
 
@@ -16,7 +16,7 @@ from petscjam.base.types import Array
 from petscjam.parallel.comm import total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.solver import Complex, DirectSolver
-from petscjam.response.dofs import connected, sees
+from petscjam.response.dofs import connected, resists
 from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Motion, translations
@@ -24,8 +24,8 @@ from petscjam.rows.kinematics import Motion, translations
 NEW = 1e-10  # part of a vector outside the others, below which it is rounding
 
 
-class Motions:
-    """A growing basis, and each form of ``pencil`` between its motions; ``solver`` holds one factor.
+class ReducedBasis:
+    """A growing basis, and each form of ``pencil`` between its motions; ``solver`` holds the factor of a node.
 
     Attributes
     ----------
@@ -39,18 +39,18 @@ class Motions:
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
         self.problem, self.pencil, self.solver = problem, pencil, solver
-        self.pulls = [pull[:, 0] for pull in pencil.pulls]
+        self.coupling = [coupling[:, 0] for coupling in pencil.coupling]
         self.reduced: list[Array] = []
         self.forces: list[Array] = []
         self.residual = 0.0
         self._offset: Array | None = None
         self._blocks: list[Array] = []  # columns, a block for each node: never copied
-        self._free = self._unseen_by_K()
+        self._free = self._resisted_translations()
 
     def solve(self, rhs: Complex, drag: Array | float = 0.0) -> Complex:
-        """Solve with the present factor, and take out what only rounding moves.
+        """Solve with the present factor, and remove what rounding adds to the solution.
 
-        K ignores a free motion e that B sees, so eᵀ(Bx + drag) = 0; at low ω rounding would outgrow that.
+        K does not resist a translation e, so eᵀ(Bx + drag) = 0; at low ω rounding would exceed that.
         """
         x, residual = self.solver.solve(rhs, soft=True)
         self.residual = max(self.residual, residual)
@@ -58,11 +58,11 @@ class Motions:
             x = x - e * ((self.dot(Be, x) + self.dot(e, np.zeros_like(e) + drag)) / eBe)
         return x
 
-    def _unseen_by_K(self) -> list[tuple[Array, Array, float]]:
-        """Return translations of connected disks that B sees, B times them, and their friction."""
+    def _resisted_translations(self) -> list[tuple[Array, Array, float]]:
+        """Return e, Be and eᵀBe for each translation of connected disks that B resists; K resists none."""
         problem, found = self.problem, []
         for motion in translations(len(problem.packing)):
-            if not sees(problem.B, motion, problem.comm):
+            if not resists(problem.B, motion, problem.comm):
                 continue
             for disks in connected(problem.network):
                 e = self.pencil.dofs.scatter(motion * problem.active * disks[:, None], problem.comm.rank)
@@ -70,21 +70,21 @@ class Motions:
                 found.append((e, Be, float(self.dot(e, Be))))
         return found
 
-    def beside(self, q: Complex) -> list[Array]:
-        """Return what the response ``q`` at unit strain adds to Q₀; the first one makes Q₀."""
+    def new_motions(self, q: Complex) -> list[Array]:
+        """Return q − Q₀, real and imaginary part, of the response ``q`` at unit strain; the first real part is Q₀."""
         if self._offset is not None:
             return [q.real - self._offset, q.imag]
         self._offset = q.real.copy()
         problem = self.problem
         Q: Motion = (self.pencil.dofs.gather(self._offset, problem.comm), [1.0])
-        for form, matrix, pull in zip(self.pencil.forms, self.pencil.matrices, self.pulls, strict=True):
+        for form, matrix, coupling in zip(self.pencil.forms, self.pencil.matrices, self.coupling, strict=True):
             # a sum over contacts, where nothing cancels
             self.reduced.append(np.array([[problem.product(form, Q, Q).real]]))
-            self.forces.append(pull + self.apply(matrix, self._offset.astype(complex)).real)
+            self.forces.append(coupling + self.apply(matrix, self._offset.astype(complex)).real)
         return [q.imag]
 
     def extend(self, vectors: list[Array]) -> list[Array]:
-        """Add what is new in ``vectors`` as motions; return each form times these, (n, new)."""
+        """Add the part of ``vectors`` outside the basis to it; return each form times what was added, (n, new)."""
         fresh = self._orthonormal(vectors)
         products = [apply_real(matrix, fresh) for matrix in self.pencil.matrices]
         for k, (product, force) in enumerate(zip(products, self.forces, strict=True)):
@@ -95,8 +95,8 @@ class Motions:
         return products
 
     def _orthonormal(self, vectors: list[Array]) -> Array:
-        """Return what is new in ``vectors``, orthogonal to the motions and to each other, as columns."""
-        fresh = np.empty((len(self.pulls[0]), 0))
+        """Return the part of ``vectors`` outside the basis, orthonormal, as columns."""
+        fresh = np.empty((len(self.coupling[0]), 0))
         for vector in vectors:
             v, size = vector, self.norm(vector)
             for attempt in range(3):  # the last one after normalising
@@ -131,24 +131,24 @@ class Motions:
 
     def combine(self, y: Complex) -> Complex:
         """Return Σ_m y_m times the motions without strain."""
-        out, start = np.zeros(len(self.pulls[0]), dtype=complex), 0
+        out, start = np.zeros(len(self.coupling[0]), dtype=complex), 0
         for block in self._blocks:
             part = y[start : start + block.shape[1]]
             out += block @ part.real + 1j * (block @ part.imag)
             start += block.shape[1]
         return out
 
-    def on_motions(self, force: NDArray) -> NDArray:
+    def on_motions(self, force: NDArray[Any]) -> NDArray[Any]:
         """Return Vᵀ ``force``, for the motions without strain."""
         none = np.zeros((0, *force.shape[1:]), dtype=force.dtype)
         return np.concatenate([none, *(self.dot(block, force) for block in self._blocks)])
 
-    def dot(self, a: NDArray, b: NDArray) -> Any:
+    def dot(self, a: NDArray[Any], b: NDArray[Any]) -> Any:
         """Return aᵀb over all ranks, nothing conjugated."""
         if np.iscomplexobj(b) and not np.iscomplexobj(a):
             return total(self.problem.comm, a.T @ b.real + 1j * (a.T @ b.imag))
         return total(self.problem.comm, a.T @ b)
 
-    def norm(self, a: NDArray) -> float:
+    def norm(self, a: NDArray[Any]) -> float:
         """Return ‖a‖ over all ranks."""
         return float(np.sqrt(total(self.problem.comm, np.vdot(a, a).real)))
