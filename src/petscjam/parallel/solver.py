@@ -231,7 +231,7 @@ def direct_solver(
 
 @contextmanager
 def _scratch() -> Iterator[None]:
-    """Give MUMPS a folder of its own in that for factors out of core, and remove it, come what may."""
+    """Give MUMPS a folder of its own for factors out of core, and remove it in any case."""
     before = os.environ.get("MUMPS_OOC_TMPDIR")
     with TemporaryDirectory(prefix="petscjam-", dir=scratch_folder(), ignore_cleanup_errors=True) as own:
         os.environ["MUMPS_OOC_TMPDIR"] = own

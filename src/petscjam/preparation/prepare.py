@@ -151,10 +151,10 @@ def relax_packing(
     Newton's method converges. Then K is judged (:func:`petscjam.certify`); a negative mode is followed
     downhill, and minimisation goes on until the minimum is proved or the budget is spent.
 
-    It ends when no disk feels more than max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure
+    It ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure
     tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target. Parameters and errors are those of
-    :func:`prepare_packing`; besides, disks that are not jammed at their volume are an InputError. Lower
-    pressures of a series are reached by relaxing the packing before.
+    :func:`prepare_packing`; disks that are not jammed at their volume are an InputError, too. For a series of
+    falling pressures relax the packing of the pressure before.
     """
     d = packing.mean_diameter
     unit = packing.potential.unit(d)

@@ -85,7 +85,7 @@ def zero_frequency(problem: LinearProblem) -> Limit:
     fields, residual = quasistatic(problem)
     still: Motion = (fields[0], _unit(problem))
     if problem.pressed_rattlers:
-        problem.notes.append("rattlers are pressed: not in mechanical equilibrium, η0 may be off")
+        problem.notes.append("rattlers are pressed: not in mechanical equilibrium, η0 may be wrong")
     G0 = problem.product(problem.K_backbone, still, still).real
     moving, slack = relax_dissipation(problem, still)
     eta = problem.product(problem.B, moving, moving).real

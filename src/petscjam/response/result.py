@@ -78,7 +78,7 @@ class ComplexModulus(Judged):
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
-        """Return G* of ``model`` on a grid, with errors; the model goes along.
+        """Return G* of ``model`` on a grid, with errors; the result holds the model.
 
         Parameters
         ----------

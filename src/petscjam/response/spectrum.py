@@ -63,7 +63,7 @@ class Spectrum(Judged):
     limits : (2, 2)
         G0, η0 and G∞, η∞: of the model or, where the span ends too far from a plateau, solved for.
     limit_errors : (2, 2)
-        How far each may be off, relatively (:meth:`own_limits`); of those solved for, the residual.
+        Relative error of each (:meth:`own_limits`); of those solved for, the residual.
     forcing : (float, float)
         ‖K_uγ‖ and ‖B_uγ‖.
     affine : (float, float)
@@ -211,7 +211,7 @@ class Spectrum(Judged):
     def G(self, t: ArrayLike) -> Array:
         """Return the stress relaxation modulus after a step of strain, at ``t`` ≥ 0 in τ1.
 
-        G(t) = G0 + Σ_j g_j exp(−t/τ_j). At the step itself comes η∞δ(t) besides.
+        G(t) = G0 + Σ_j g_j exp(−t/τ_j). The step itself adds η∞δ(t).
         """
         rates, weights, _ = self._maxwell
         return self._G0 + np.exp(-np.multiply.outer(_times(t), rates)) @ weights
@@ -244,10 +244,10 @@ class Spectrum(Judged):
         return float(self.limits[1, 1])
 
     def own_limits(self) -> tuple[Array, Array]:
-        """Return G0, η0 and G∞, η∞ of the model, (2, 2), and how far each may be off, relatively, (2, 2).
+        """Return G0, η0 and G∞, η∞ of the model, (2, 2), and their relative errors, (2, 2).
 
-        That is the distance to G′ and G″/ω at the end of the span, and their error there: a judgement, not a
-        bound, for the model need not know of relaxations far slower or faster than the span.
+        An error is the distance to G′ and G″/ω at the end of the span, and their error there: an estimate, not a
+        bound, for the model may lack relaxations far slower or faster than the span.
         """
         rates, weights, eta_inf = self._maxwell
         G0, ends = self._G0, np.array(self.span)
