@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import petsc
 from petscjam.parallel.solver import direct_solver
@@ -32,9 +32,6 @@ from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import Field, strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 MEMORY = 6  # iterations that the next one is made of
 
@@ -77,7 +74,7 @@ def self_consistent_drag(
     rtol: float = 1e-6,
     floor: float = 1e-6,
     most_iterations: int = 100,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> NonlinearModulus:
@@ -184,7 +181,7 @@ def _fixed_point(
     log_tau: Array,
     rtol: float,
     most_iterations: int,
-    comm: MPI.Comm,
+    comm: Comm,
 ) -> _Point:
     """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are the τ_c that made it."""
     tried: list[Array] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,16 +24,13 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve, total
+from petscjam.parallel.comm import Comm, agree, resolve, total
 from petscjam.parallel.memory import require
 from petscjam.parallel.petsc import destroying, stage
 from petscjam.response.matrices import assembled
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.kinematics import displacements
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ
@@ -120,7 +117,7 @@ def density_of_states(
     vectors: int = 16,
     seed: int = 1,
     prestress: bool = True,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> DensityOfStates:
@@ -238,7 +235,7 @@ def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
     return field / np.linalg.norm(field)
 
 
-def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: MPI.Comm) -> Array:
+def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: Comm) -> Array:
     """Return the moments ⟨v, T_m(X) v⟩, (2, count), of the real and the imaginary part of ``start``.
 
     With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The ranks' shares

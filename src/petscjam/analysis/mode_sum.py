@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,11 +15,9 @@ from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.base.progress import Report, part
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
+from petscjam.parallel.comm import Comm
 from petscjam.response.modes import lowest_modes
 from petscjam.response.origin import Result, stored
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 POINTS = 40  # numbers of modes, evenly in their logarithm
 
@@ -74,7 +72,7 @@ def mode_sum(
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> ModeSum:

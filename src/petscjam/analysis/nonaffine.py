@@ -6,7 +6,7 @@ Axes: c contact of the backbone, i disk of the backbone, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,11 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.response.limits import quasistatic
 from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.kinematics import contact_rows, strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 MOTIONS = ("parallel", "transverse", "nonaffine")
 
@@ -94,7 +91,7 @@ def quasistatic_response(
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> QuasistaticResponse:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from petscjam.base.progress import Report
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.response.limits import zero_frequency
 from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,7 @@ def viscosity(
     damping: DampingLaw | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> Viscosity:

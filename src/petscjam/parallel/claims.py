@@ -16,21 +16,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import check_folder, naming
-from petscjam.parallel.comm import on_root
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
+from petscjam.parallel.comm import Comm, on_root
 
 PATIENCE = 2.0  # seconds that a claim may stay empty, or in the hands of one who removes it
 _held: set[tuple[Path, int]] = set()  # claims and processes: a forked child has none of its own
 
 
 @contextmanager
-def claimed(path: str | PathLike[str], comm: MPI.Comm | None = None) -> Iterator[None]:
+def claimed(path: str | PathLike[str], comm: Comm | None = None) -> Iterator[None]:
     """Keep other runs from writing to ``path``, a file or a folder that exists, while the block runs.
 
     The process may claim it again inside. With ``comm`` this is collective, and rank 0 claims for all.
@@ -51,7 +47,7 @@ def claimed(path: str | PathLike[str], comm: MPI.Comm | None = None) -> Iterator
 
 
 @contextmanager
-def made_folder(folder: str | PathLike[str], comm: MPI.Comm | None = None) -> Iterator[None]:
+def made_folder(folder: str | PathLike[str], comm: Comm | None = None) -> Iterator[None]:
     """Make ``folder`` if need be; if the block is refused and left it empty, remove it again.
 
     With ``comm`` this is collective.

@@ -15,7 +15,9 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted
 
 if TYPE_CHECKING:
-    from mpi4py import MPI
+    from mpi4py.MPI import Comm
+else:
+    Comm = Any  # importing mpi4py starts MPI
 
 T = TypeVar("T")
 
@@ -25,7 +27,7 @@ T = TypeVar("T")
 LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
-def world() -> MPI.Comm:
+def world() -> Comm:
     """Return COMM_WORLD.
 
     Raises
@@ -45,7 +47,7 @@ def world() -> MPI.Comm:
     return MPI.COMM_WORLD
 
 
-def resolve(comm: MPI.Comm | None = None) -> MPI.Comm:
+def resolve(comm: Comm | None = None) -> Comm:
     """Return ``comm``; left out, COMM_SELF, with a warning if the program runs on several ranks.
 
     Raises
@@ -64,7 +66,7 @@ def resolve(comm: MPI.Comm | None = None) -> MPI.Comm:
     return MPI.COMM_SELF
 
 
-def agree(comm: MPI.Comm, *arguments: Any) -> None:
+def agree(comm: Comm, *arguments: Any) -> None:
     """Refuse arguments that differ between ranks: those would wait for each other forever. Collective.
 
     Packings are compared by checksum, arrays by value, anything else by what it prints.
@@ -78,7 +80,7 @@ def _told(argument: Any) -> str:
     return checksum or repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
 
 
-def on_root(comm: MPI.Comm, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
+def on_root(comm: Comm, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
     """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
 
     An error that is not ours stays as it is on rank 0, and is a RuntimeError elsewhere.
@@ -96,7 +98,7 @@ def on_root(comm: MPI.Comm, work: Callable[..., T], *arguments: Any, **options: 
     return result
 
 
-def raise_together(comm: MPI.Comm, error: Exception | Interrupted | None) -> None:
+def raise_together(comm: Comm, error: Exception | Interrupted | None) -> None:
     """Raise if any rank brings an error: its own on that rank, elsewhere that of the lowest such rank.
 
     Collective. An error that is not ours is a RuntimeError on the other ranks.
@@ -111,7 +113,7 @@ def _for_others(error: Exception | Interrupted | None) -> Exception | Interrupte
     return error if ours else error and RuntimeError(repr(error))
 
 
-def total(comm: MPI.Comm, share: Any) -> Any:
+def total(comm: Comm, share: Any) -> Any:
     """Sum a scalar or an array over the ranks."""
     share = np.asarray(share)
     out = np.empty_like(share)
@@ -119,7 +121,7 @@ def total(comm: MPI.Comm, share: Any) -> Any:
     return out if out.ndim else out[()]
 
 
-def exit_together(comm: MPI.Comm, code: int, message: str, patience: float = 2.0) -> int:
+def exit_together(comm: Comm, code: int, message: str, patience: float = 2.0) -> int:
     """Agree on an exit: together if every rank is leaving, else by MPI_Abort after ``patience``, s.
 
     ``comm`` spans all ranks and is used for nothing else. The message is printed once where every

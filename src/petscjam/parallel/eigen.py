@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,10 @@ from petscjam.base.errors import SolverError
 from petscjam.base.interrupt import check
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
-from petscjam.parallel.comm import on_root, total
+from petscjam.parallel.comm import Comm, on_root, total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 TOLERANCE = 1e-10
 RESTARTS = 10_000
@@ -64,7 +61,7 @@ def search_all(
     count_below: Callable[[float, float], int],
     count: int,
     most: int,
-    comm: MPI.Comm,
+    comm: Comm,
     *,
     least: Callable[[Array], float],
     left_out: Sequence[float] = (),
@@ -344,7 +341,7 @@ def _real_pairs(A: Any, metric: Any, V: Array, count: int) -> Pairs:
     return Pairs(values, V, _residuals(AV, _metric(metric, V), values, comm))
 
 
-def _residuals(AV: Array, MV: Array, values: Array, comm: MPI.Comm) -> Array:
+def _residuals(AV: Array, MV: Array, values: Array, comm: Comm) -> Array:
     """Return ‖Av − xMv‖/‖Mv‖ of each pair."""
     left, size = total(comm, np.stack([((AV - MV * values) ** 2).sum(0), (MV**2).sum(0)])) ** 0.5
     return left / size

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from petscjam.parallel.comm import Comm
 from petscjam.parallel.petsc import destroying, petsc
 
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
-
-def symmetric_matrix(
-    indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: MPI.Comm
-) -> Any:
+def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: Comm) -> Any:
     """Return the PETSc matrix with these local rows, flagged symmetric and not Hermitian.
 
     MUMPS then takes LDLᵀ, which PETSc refuses on a Hermitian matrix in a complex build.

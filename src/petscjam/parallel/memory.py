@@ -9,14 +9,10 @@ import resource
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from petscjam.base.errors import InputError
-from petscjam.parallel.comm import raise_together
+from petscjam.parallel.comm import Comm, raise_together
 from petscjam.parallel.container import memory_left
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 
 def factor_memory(unknowns: int) -> float:
@@ -47,7 +43,7 @@ def scratch_folder() -> Path:
     return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
-def require(size: float, what: str, comm: MPI.Comm | None = None) -> None:
+def require(size: float, what: str, comm: Comm | None = None) -> None:
     """Refuse to ask for ``size`` bytes that this machine, or one of ``comm``, does not have; then collective.
 
     Raises
@@ -60,7 +56,7 @@ def require(size: float, what: str, comm: MPI.Comm | None = None) -> None:
         raise InputError(f"{what}: needs about {size / 2**20:.3g} MB, and {free:.0f} MB are free; take less")
 
 
-def check_memory(comm: MPI.Comm, unknowns: int, *, out_of_core: bool = False) -> str:
+def check_memory(comm: Comm, unknowns: int, *, out_of_core: bool = False) -> str:
     """Say what a factor will need, before any work; collective.
 
     Raises

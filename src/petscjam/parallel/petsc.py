@@ -9,13 +9,11 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, deferred
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
+from petscjam.parallel.comm import Comm
 
 ADVICE = (
     'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
@@ -32,7 +30,7 @@ def set_options(options: Sequence[str]) -> None:
     _options[:] = [*options, "-options_left"] if options else []
 
 
-def start(comm: MPI.Comm) -> None:
+def start(comm: Comm) -> None:
     """Start PETSc and SLEPc on all ranks of ``comm`` together: ``-log_view`` then reports on all of them.
 
     Raises

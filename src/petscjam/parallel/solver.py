@@ -9,18 +9,16 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.errors import SolverError
 from petscjam.base.interrupt import check
+from petscjam.parallel.comm import Comm
 from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 Complex = NDArray[np.complex128]
 OUT_OF_WORKSPACE = (-8, -9)
@@ -40,7 +38,7 @@ class DirectSolver:
     ksp : PETSc.KSP
     """
 
-    def __init__(self, comm: MPI.Comm, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float) -> None:
+    def __init__(self, comm: Comm, prefix: str, definite: bool, out_of_core: bool, block_low_rank: float) -> None:
         PETSc = petsc()
         self.factorisations = 0
         self._comm = comm
@@ -208,7 +206,7 @@ class DirectSolver:
 
 @contextmanager
 def direct_solver(
-    comm: MPI.Comm, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
+    comm: Comm, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
 ) -> Iterator[DirectSolver]:
     """Give a :class:`DirectSolver`, and free it at the end.
 

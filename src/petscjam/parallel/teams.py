@@ -6,16 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, check
 from petscjam.base.progress import Report, part
 from petscjam.parallel import container
-from petscjam.parallel.comm import raise_together
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
+from petscjam.parallel.comm import Comm, raise_together
 
 T = TypeVar("T")
 
@@ -32,7 +29,7 @@ class Team:
         Which team this is, and of how many.
     """
 
-    comm: MPI.Comm
+    comm: Comm
     index: int
     count: int
 
@@ -42,7 +39,7 @@ class Team:
 
 
 @contextmanager
-def teams(comm: MPI.Comm, size: int = 1) -> Iterator[Team]:
+def teams(comm: Comm, size: int = 1) -> Iterator[Team]:
     """Split ``comm`` into teams of ``size`` ranks; the last may be smaller.
 
     Raises
@@ -69,7 +66,7 @@ Named = TypeVar("Named", bound=Task)
 
 
 def deal(
-    comm: MPI.Comm,
+    comm: Comm,
     tasks: Sequence[Named],
     work: Callable[[Named, Team, Report | None], None],
     *,
@@ -118,7 +115,7 @@ def deal(
     return [one for some in comm.allgather(failed if first else []) for one in some]
 
 
-def cores_each(comm: MPI.Comm) -> int:
+def cores_each(comm: Comm) -> int:
     """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not.
 
     No more than the limit of a container.

@@ -18,7 +18,7 @@ from hashlib import blake2b
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from petscjam.base.arguments import parsed, parsed_whole
 from petscjam.base.errors import InputError, SolverError, shown
@@ -30,12 +30,9 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.packing_file import OURS
 from petscjam.parallel.claims import claimed, made_folder
-from petscjam.parallel.comm import agree, on_root, raise_together, resolve
+from petscjam.parallel.comm import Comm, agree, on_root, raise_together, resolve
 from petscjam.parallel.teams import cores_each, teams
 from petscjam.preparation.prepare import BUDGET, check, prepare_packing, relax_packing
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 SCHEMA = 1
 RECIPE, INDEX = "library.json", "index.csv"
@@ -139,7 +136,7 @@ def prepare_library(
     pressures: Iterable[float] = (1e-3,),
     seeds: Iterable[int] = (1,),
     *,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     resume: bool = False,
     overwrite: bool = False,
     threads: int | None = None,
@@ -191,7 +188,7 @@ def _fill(
     series: list[_Series],
     settings: Recipe,
     missing: set[str],
-    comm: MPI.Comm,
+    comm: Comm,
     threads: int | None,
     budget: int,
     progress: Report | None,
@@ -217,7 +214,7 @@ def _fill(
     raise_together(comm, error)
 
 
-def threads_for(sizes: Sequence[int], comm: MPI.Comm) -> int:
+def threads_for(sizes: Sequence[int], comm: Comm) -> int:
     """Return the threads of each rank for tasks of these sizes: its cores, if they are large and few."""
     large = len(sizes) <= comm.size and max(sizes, default=0) >= WORTH_THREADS
     return cores_each(comm) if large else 1

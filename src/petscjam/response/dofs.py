@@ -6,7 +6,7 @@ Axes: i disk, d degree of freedom of a disk (ux, uy, θ).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import total
+from petscjam.parallel.comm import Comm, total
 from petscjam.rows.kinematics import Field, Form, Mask, translations
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,7 @@ class Dofs:
         values[self.index[mine] - start] = field[mine]
         return values
 
-    def gather(self, local: NDArray[Any], comm: MPI.Comm) -> Field:
+    def gather(self, local: NDArray[Any], comm: Comm) -> Field:
         """Return the field (N, 3), on every rank, from each rank's unknowns; zero elsewhere.
 
         Parameters
@@ -142,7 +139,7 @@ class Dofs:
         return field
 
 
-def unknowns(K: Form, B: Form, network: ContactNetwork, comm: MPI.Comm) -> Mask:
+def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> Mask:
     """Return the (N, 3) degrees of freedom to solve for: those that K or B resists, less those held.
 
     B is positive semi-definite, so a zero on its diagonal is a zero row (θ without rolling or at β = 0,
@@ -176,7 +173,7 @@ def free_motions(network: ContactNetwork) -> list[Array]:
     return [*translations(n), gears]
 
 
-def resists(B: Form, motion: NDArray[Any], comm: MPI.Comm) -> bool:
+def resists(B: Form, motion: NDArray[Any], comm: Comm) -> bool:
     """Tell whether B resists ``motion`` (N, 3), beyond rounding.
 
     Parameters

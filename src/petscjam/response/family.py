@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.parallel.memory import peak_memory
 from petscjam.response.basis import ReducedBasis
 from petscjam.response.limits import limit_or_note, zero_frequency
@@ -29,9 +29,6 @@ from petscjam.response.reduced import PLATEAU, checked_rtol, checked_span
 from petscjam.response.spectrum import Spectrum, relaxed
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 PER_DECADE = 4  # points of the grid in ω and β
 MOST_NODES = 80
@@ -112,7 +109,7 @@ def beta_family(
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
     progress: Report | None = None,

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from petscjam.base.progress import Report
+from petscjam.parallel.comm import Comm
 from petscjam.parallel.matrix import symmetric_matrix
 from petscjam.parallel.memory import check_memory, give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, stage
@@ -24,9 +25,6 @@ from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import Dofs
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Form
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 ROUNDING = 1e-14  # what is left of entries that cancel, of the largest one
 
@@ -87,7 +85,7 @@ class Pencil:
 
 
 @contextmanager
-def assembled(K: Form, B: Form, dofs: Dofs, comm: MPI.Comm, *further: Form) -> Iterator[Pencil]:
+def assembled(K: Form, B: Form, dofs: Dofs, comm: Comm, *further: Form) -> Iterator[Pencil]:
     """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context.
 
     Parameters
@@ -137,7 +135,7 @@ def solving(
         yield pencil, solver
 
 
-def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: MPI.Comm) -> Pencil:
+def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Comm) -> Pencil:
     start, stop = dofs.rows_of(comm.rank)
     (K, k), (B, b), *further = (form.matrices(dofs.flat, slice(start, stop)) for form in forms)
     both = (K + 1j * B).tocsr()  # K and B are real: as K + iB they share one pattern

@@ -9,7 +9,7 @@ import time
 from argparse import ArgumentParser
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from petscjam.base.ranges import MODES
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, on_root, resolve, total
+from petscjam.parallel.comm import Comm, agree, on_root, resolve, total
 from petscjam.parallel.eigen import EQUAL, Pairs, Search, lowest_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory
 from petscjam.preparation.certify import EPS, below_all, hessian, pivots_below
@@ -32,9 +32,6 @@ from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
 LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
@@ -145,7 +142,7 @@ def lowest_modes(
     *,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> Modes:

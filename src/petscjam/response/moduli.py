@@ -6,7 +6,6 @@ Axes: w frequency, i disk, x Cartesian.
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.parallel.memory import peak_memory
 from petscjam.parallel.solver import LARGEST_RESIDUAL, DirectSolver
 from petscjam.response.limits import infinite_frequency, limit_or_note, quasistatic, zero_frequency
@@ -26,9 +25,6 @@ from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 
-if TYPE_CHECKING:
-    from mpi4py import MPI
-
 
 def complex_modulus(
     packing: Packing,
@@ -37,7 +33,7 @@ def complex_modulus(
     damping: DampingLaw | None = None,
     strain: str = "simple-shear",
     prestress: bool = True,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     fields_at: ArrayLike = (),
     name: str = "packing",
     progress: Report | None = None,
@@ -113,7 +109,7 @@ def complex_modulus(
     )
 
 
-def elastic_constants(packing: Packing, *, prestress: bool = True, comm: MPI.Comm | None = None) -> Array:
+def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Comm | None = None) -> Array:
     """Return the elastic constants (3, 3) over (xx, yy, xy): C_abcd = ∂²U/∂ε_ab∂ε_cd / V, relaxed.
 
     They are second derivatives with respect to the symmetric linear strain F = 1 + ε, so with

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from petscjam.base.types import Array, Integers
 from petscjam.base.versions import __version__
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import on_root, total
+from petscjam.parallel.comm import Comm, on_root, total
 from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import petsc
 from petscjam.preparation.certify import count_modes, dependent_rows
@@ -21,9 +20,6 @@ from petscjam.response.dofs import Dofs, Ownership, unknowns
 from petscjam.response.origin import Origin
 from petscjam.rows.damping import ContactDamping, DampingLaw, viscous_form
 from petscjam.rows.kinematics import SIMPLE_SHEAR, Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
@@ -67,7 +63,7 @@ class LinearProblem:
         law: DampingLaw,
         strains: Sequence[StrainMode],
         prestress: bool,
-        comm: MPI.Comm,
+        comm: Comm,
         *,
         fluid: bool = True,
     ) -> None:
@@ -99,7 +95,7 @@ class LinearProblem:
         self.affine = (self.product(self.K, rigid, rigid).real, self.product(self.B, rigid, rigid).real)
 
     @classmethod
-    def elastic(cls, packing: Packing, prestress: bool, comm: MPI.Comm, *strains: StrainMode) -> LinearProblem:
+    def elastic(cls, packing: Packing, prestress: bool, comm: Comm, *strains: StrainMode) -> LinearProblem:
         """Return the problem of which only K is used.
 
         The contacts are those of the backbone; the law, contact damping, plays no part.

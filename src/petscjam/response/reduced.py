@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve, total
+from petscjam.parallel.comm import Comm, agree, resolve, total
 from petscjam.parallel.memory import peak_memory
 from petscjam.parallel.solver import DirectSolver
 from petscjam.response.basis import ReducedBasis
@@ -32,9 +32,6 @@ from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 PER_DECADE = 32  # frequencies at which the certificate is asked for
 EVERY = 4  # and every so many of them may become a node
@@ -58,7 +55,7 @@ def spectrum(
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
     progress: Report | None = None,

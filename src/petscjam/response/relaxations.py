@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve, total
+from petscjam.parallel.comm import Comm, agree, resolve, total
 from petscjam.parallel.eigen import Pairs, pencil_pairs, search_all, settled
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import destroying, petsc
@@ -31,9 +31,6 @@ from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
 from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
@@ -95,7 +92,7 @@ def relaxation_modes(
     damping: DampingLaw | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
-    comm: MPI.Comm | None = None,
+    comm: Comm | None = None,
     name: str = "packing",
     progress: Report | None = None,
 ) -> RelaxationModes:
@@ -281,7 +278,7 @@ class _Following:
 
 
 @contextmanager
-def _eliminated(pencil: Pencil, comm: MPI.Comm) -> Iterator[_Eliminated]:
+def _eliminated(pencil: Pencil, comm: Comm) -> Iterator[_Eliminated]:
     PETSc = petsc()
     start, _ = pencil.dofs.rows_of(comm.rank)
     moves = pencil.dofs.scatter(displacements(np.ones(len(pencil.dofs.index), dtype=bool)), comm.rank)
