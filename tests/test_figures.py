@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import names
+from petscjam.analysis.rebuilt import modes_needed
 
 import petscjam as pj
 from petscjam.analysis.scaling import Curve, collapse, power_law
 from petscjam.analysis.statistics import by_pressure
 from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.figures import FIGURES, make_figure, presets
-from petscjam.figures.modes import WITHIN, enough
+from petscjam.figures import FIGURES, Request, make_figure, presets
+from petscjam.figures.data import FigureData
+from petscjam.figures.modes import WITHIN
+from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import on_root
@@ -60,8 +63,11 @@ def make(name, folder, *, parameters=None, **options):
     from mpi4py import MPI
 
     file = write(folder / f"{name}.toml", parameters or TINY[name])
-    options = {"comm": MPI.COMM_SELF, "log": lambda line: None, **options}
-    return make_figure(name, "tiny", folder, file=file, **options)
+    return make_figure(Request(name, "tiny", folder, file, **options), comm=MPI.COMM_SELF, log=lambda line: None)
+
+
+def figure_data(parameters, folder, comm, **options):
+    return FigureData(Parameters("bt5", "tiny", parameters), folder, comm, **options)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -93,8 +99,8 @@ def made(shared):
 
 
 @pytest.fixture
-def study(tmp_path, comm):
-    return Study("bt5", "tiny", COMMON, tmp_path, comm)
+def page():
+    return Page()
 
 
 @pytest.fixture
@@ -188,15 +194,15 @@ def test_a_picture_that_exists_is_kept(made, shared, name):
 
 @figures
 @pytest.mark.parametrize("preset", ["small", "medium", "paper"])
-def test_a_preset_holds_what_the_figure_asks_for(made, shared, comm, name, preset):
+def test_a_preset_holds_what_the_figure_asks_for(made, shared, name, preset):
     made(name)
     assert "does not know" not in (shared / f"{name}.md").read_text()
     parameters = presets(name)[preset]
     assert set(parameters) == set(TINY[name])  # which is all that is asked for; nothing else is known
-    study = Study(name, preset, parameters, Path(), comm)
-    assert study["seeds"][0] == 1
+    known = Parameters(name, preset, parameters)
+    assert known["seeds"][0] == 1
     for key in set(parameters) - {"seeds"}:
-        assert (study.points(key) > 0).all()
+        assert (known.points(key) > 0).all()
 
 
 @figures
@@ -342,10 +348,10 @@ def test_a_packing_that_took_the_place_of_another_is_not_mixed_with_it(packings,
     other = pj.Packing.read(packings / "packings" / "N64_p0.01_s0003.h5")
     other.write(packings / "packings" / "N64_p0.01_s0002.h5", overwrite=True)
     (packings / "packings" / "index.csv").unlink(missing_ok=True)
-    study = Study("bt5", "tiny", one, packings, comm, existing=True)
+    data = figure_data(one, packings, comm, existing=True)
     files = [packings / "packings" / "N64_p0.01_s0002.h5"]
-    study.checksums[files[0]] = other.checksum
-    found = study.results(files, PackingAnalysis(pj.quasistatic_response), prestress=(True, False))
+    data.checksums[files[0]] = other.checksum
+    found = data.results(files, PackingAnalysis(pj.quasistatic_response), prestress=(True, False))
     assert [r.origin.checksum for r in found.values()] == [other.checksum] * 2
     assert len(read_results(packings / "bt5.h5")) == 6
 
@@ -374,10 +380,10 @@ def test_a_result_that_failed_is_told(packings, monkeypatch, blind):
 
 
 def test_a_result_that_fails_again_does_not_stop_the_figure(packings, comm):
-    study = Study("bt5", "tiny", {"seeds": "1:3"}, packings, comm, existing=True)
-    files = study.packings(64, [1e-2])
+    data = figure_data({"seeds": "1:3"}, packings, comm, existing=True)
+    files = data.packings(64, [1e-2])
     for _ in range(2):
-        assert len(study.results(files, PackingAnalysis(tide))) == 2
+        assert len(data.results(files, PackingAnalysis(tide))) == 2
 
 
 # --- ranks
@@ -389,7 +395,7 @@ def test_two_ranks_find_the_same(tmp_path, comm):
     folder, alone = (comm.bcast(tmp_path / name) for name in ("two", "one"))
     on_root(comm, folder.mkdir)
     file = on_root(comm, write, folder / "bt5.toml", COMMON)
-    make_figure("bt5", "tiny", folder, file=file, comm=comm, log=lambda line: None)
+    make_figure(Request("bt5", "tiny", folder, file), comm=comm, log=lambda line: None)
     on_root(comm, shutil.copytree, folder / "packings", alone / "packings")
     on_root(comm, make, "bt5", alone)
     assert (folder / "bt5.png").exists()
@@ -407,7 +413,7 @@ def test_every_rank_knows_what_was_found(tmp_path, comm):
     start(comm)
     folder = comm.bcast(tmp_path)
     file = on_root(comm, write, folder / "bt5.toml", {**COMMON, "pressure": "1e-2:1e-2:1"})
-    found = make_figure("bt5", "tiny", folder, file=file, comm=comm, log=lambda line: None)
+    found = make_figure(Request("bt5", "tiny", folder, file), comm=comm, log=lambda line: None)
     assert len(found) > 0
     assert str(found) == comm.bcast(str(found))
 
@@ -415,45 +421,45 @@ def test_every_rank_knows_what_was_found(tmp_path, comm):
 @pytest.mark.parallel(nprocs=2)
 def test_an_unknown_preset_is_said_on_every_rank(tmp_path, comm):
     with pytest.raises(InputError, match="huge"):
-        make_figure("bt5", "huge", comm.bcast(tmp_path), comm=comm)
+        make_figure(Request("bt5", "huge", comm.bcast(tmp_path)), comm=comm)
 
 
 # --- the numbers on the page
 
 
-def test_an_exponent_of_exact_power_laws(study):
+def test_an_exponent_of_exact_power_laws(page):
     p = np.array([1e-2, 1e-3, 1e-4])
     samples = [2 * x**0.37 * np.array([0.9, 1.0, 1.1]) for x in p]
-    fit = study.exponent("y", p, samples, "1/3")
-    (found,) = study.findings
+    fit = page.exponent("y", p, samples, "1/3")
+    (found,) = page.findings
     assert found.value == pytest.approx(0.37, rel=1e-12)
     assert 0 < found.error < 0.1
     assert (found.name, found.paper, fit.prefactor) == ("y", "1/3", pytest.approx(2, rel=1e-10))
 
 
-def test_an_exponent_takes_no_pressure_with_one_packing(study):
+def test_an_exponent_takes_no_pressure_with_one_packing(page):
     p = np.array([1e-1, 1e-2, 1e-3])
     samples = [[1e9], *(x**-0.5 * np.array([0.9, 1.1]) for x in p[1:])]
-    assert study.exponent("y", p, samples, "").exponent == pytest.approx(-0.5, rel=1e-12)
+    assert page.exponent("y", p, samples, "").exponent == pytest.approx(-0.5, rel=1e-12)
 
 
-def test_an_exponent_in_a_window(study):
+def test_an_exponent_in_a_window(page):
     p = np.array([1e-1, 1e-2, 1e-3, 1e-4])
     samples = [np.array([0.9, 1.1]) * (x**0.5 if x < 0.02 else 7.0) for x in p]
-    study.exponent("y", p, samples, "", (1e-4, 0.011))
-    assert study.findings[0].value == pytest.approx(0.5, rel=1e-12)
-    assert "x from 0.0001 to 0.01" in study.findings[0].remark
+    page.exponent("y", p, samples, "", (1e-4, 0.011))
+    assert page.findings[0].value == pytest.approx(0.5, rel=1e-12)
+    assert "x from 0.0001 to 0.01" in page.findings[0].remark
 
 
 @pytest.mark.parametrize("samples", [[], [[1.0, 2.0]], [[1.0, 2.0], [3.0]], [[1.0, -2.0], [1.0, 3.0]]])
-def test_an_exponent_that_cannot_be_fitted_says_why(study, samples):
-    assert study.exponent("y", np.array([1e-3, 1e-2])[: len(samples)], samples, "1/2") is None
-    (found,) = study.findings
+def test_an_exponent_that_cannot_be_fitted_says_why(page, samples):
+    assert page.exponent("y", np.array([1e-3, 1e-2])[: len(samples)], samples, "1/2") is None
+    (found,) = page.findings
     assert np.isnan([found.value, found.error]).all()
     assert "power law" in found.remark
 
 
-def test_a_collapse_notes_every_exponent(study):
+def test_a_collapse_notes_every_exponent(page):
     x = np.geomspace(1e-3, 1e3, 30)
     spread = np.array([0.95, 1.0, 1.05])[:, None]
     curves = [Curve(x * n**1.5, spread * n**0.5 * (x / (1 + x)), {"n": n}) for n in (1.0, 4.0, 16.0)]
@@ -461,22 +467,22 @@ def test_a_collapse_notes_every_exponent(study):
     def form(a, b, *, n):
         return n**-b, n**-a
 
-    study.collapsed("c", lambda: collapse(curves, form, {"a": 0.4, "b": 1.4}, resamples=5), {"a": "1", "b": "2"})
-    assert {f.name: f.paper for f in study.findings} == {"c: a": "1", "c: b": "2"}
-    assert [f.value for f in study.findings] == pytest.approx([0.5, 1.5], abs=0.02)
+    page.collapse("c", lambda: collapse(curves, form, {"a": 0.4, "b": 1.4}, resamples=5), {"a": "1", "b": "2"})
+    assert {f.name: f.paper for f in page.findings} == {"c: a": "1", "c: b": "2"}
+    assert [f.value for f in page.findings] == pytest.approx([0.5, 1.5], abs=0.02)
 
 
-def test_a_collapse_that_fails_says_why(study):
-    assert study.collapsed("c", lambda: collapse([], lambda: (1, 1), {}), {"a": "1"}) is None
-    assert np.isnan(study.findings[0].value)
-    assert study.findings[0].remark
+def test_a_collapse_that_fails_says_why(page):
+    assert page.collapse("c", lambda: collapse([], lambda: (1, 1), {}), {"a": "1"}) is None
+    assert np.isnan(page.findings[0].value)
+    assert page.findings[0].remark
 
 
-def test_the_page_rounds_and_leaves_gaps(study):
-    study.exponent("good", [1e-2, 1e-3], [[1.0, 1.1], [0.1, 0.11]], "1")
-    study.exponent("bad", [1e-2], [[1.0, 1.1]], "1")
-    rows, _ = table(study.page("petscjam figure"))
-    assert rows[0][:2] == ["good", f"1 ± {study.findings[0].error:.1g}"]
+def test_the_page_rounds_and_leaves_gaps(page):
+    page.exponent("good", [1e-2, 1e-3], [[1.0, 1.1], [0.1, 0.11]], "1")
+    page.exponent("bad", [1e-2], [[1.0, 1.1]], "1")
+    rows, _ = table(page.text("petscjam figure", COMMON))
+    assert rows[0][:2] == ["good", f"1 ± {page.findings[0].error:.1g}"]
     assert rows[1][:2] == ["bad", "—"]
 
 
@@ -555,7 +561,7 @@ def test_all_modes_rebuild_the_response(made, shared):
     ],
 )
 def test_how_many_modes_are_enough(ratios, least):
-    assert enough(np.array(ratios), np.array([1, 2, 4, 8])) == pytest.approx(least, nan_ok=True)
+    assert modes_needed(ratios, [1, 2, 4, 8], WITHIN) == pytest.approx(least, nan_ok=True)
 
 
 @pytest.fixture

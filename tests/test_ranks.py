@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import petscjam as pj
-from petscjam.figures import make_figure
+from petscjam.figures import Request, make_figure
 from petscjam.io.jobs import Ensemble, ModulusAnalysis, PackingAnalysis, analyse
 from petscjam.md.grid import grid, run_grid
 
@@ -67,7 +67,9 @@ ENTRIES = {
     "run_grid": lambda p, odd, folder, **c: run_grid(
         grid(["CD"], [16], [0.8], [1.0], [1e-2], [1 + odd]), folder / "grid", pj.md.run, log=print, **c
     ),
-    "make_figure": lambda p, odd, folder, **c: make_figure("bt1", "small", folder / "figures", overwrite=odd, **c),
+    "make_figure": lambda p, odd, folder, **c: make_figure(
+        Request("bt1", "small", folder / "figures", overwrite=odd), **c
+    ),
 }
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.base.progress import Report, part
@@ -64,6 +65,28 @@ class ModeSum(Result):
     def ratios(self) -> Array:
         """Medians from the lowest modes over those of the direct solve, (3, K)."""
         return self.medians / self.direct[:, None]
+
+
+def modes_needed(ratios: ArrayLike, counts: ArrayLike, within: float = 0.1) -> float:
+    """Return the least number of modes from which on a median stays close to that of the direct solve.
+
+    Parameters
+    ----------
+    ratios : (K,)
+        Medians from the lowest modes over that of the direct solve.
+    counts : (K,)
+        Numbers of modes, rising.
+    within : float
+        How far a ratio may be from 1.
+
+    Returns
+    -------
+    float
+        NaN if none of the numbers is enough.
+    """
+    off = np.flatnonzero(abs(np.asarray(ratios) - 1) > within)
+    first = off[-1] + 1 if len(off) else 0
+    return float(np.asarray(counts)[first]) if first < len(np.asarray(counts)) else np.nan
 
 
 def mode_sum(

@@ -8,12 +8,12 @@ Axes: k packing, m point, c curve, q quantity (G′, G″), w point of a curve, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.types import Array
@@ -82,15 +82,7 @@ def power_law(
         On fewer than two x in the window or two packings at one, packings that do not differ, values that
         are not finite, an x or a mean that is not positive.
     """
-    x = np.asarray(x, dtype=float)
-    if x.ndim != 1 or len(x) != len(samples):
-        raise InputError(f"power law: {x.size} x, but {len(samples)} sets of samples")
-    _check_positive("power law: x", x)
-    low, high = window if window else (x.min(initial=np.inf), x.max(initial=0.0))
-    kept = [m for m in np.argsort(x) if low <= x[m] <= high]
-    x, values = x[kept], [np.asarray(samples[m], dtype=float) for m in kept]
-    if len(np.unique(x)) < 2:
-        raise InputError(f"power law: {len(np.unique(x))} different x in {low:g} … {high:g}; it takes two")
+    x, values = _within(np.asarray(x, dtype=float), samples, window)
     logs = np.stack(
         [_log_estimates(values[m], estimator, resamples, (seed, m), f"power law, x = {x[m]:g}") for m in range(len(x))]
     )
@@ -109,13 +101,33 @@ def power_law(
     )
 
 
+def _within(x: Array, samples: Sequence[ArrayLike], window: tuple[float, float] | None) -> tuple[Array, list[Array]]:
+    """Return the x of the window, rising, and their samples."""
+    if x.ndim != 1 or len(x) != len(samples):
+        raise InputError(f"power law: {x.size} x, but {len(samples)} sets of samples")
+    _check_positive("power law: x", x)
+    low, high = window if window else (x.min(initial=np.inf), x.max(initial=0.0))
+    kept = [m for m in np.argsort(x) if low <= x[m] <= high]
+    if len(np.unique(x[kept])) < 2:
+        raise InputError(f"power law: {len(np.unique(x[kept]))} different x in {low:g} … {high:g}; it takes two")
+    return x[kept], [np.asarray(samples[m], dtype=float) for m in kept]
+
+
 def local_exponents(
     x: ArrayLike, samples: Sequence[ArrayLike], points: int = 3, **settings: Any
 ) -> tuple[PowerFit, ...]:
     """Fit power laws in windows of ``points`` neighbouring x, sliding by one, from low x to high.
 
     Where they drift by more than their errors, one exponent for all x has a systematic error of that size.
-    ``settings`` are those of :func:`power_law`.
+
+    Parameters
+    ----------
+    x, samples
+        As for :func:`power_law`.
+    points : int
+        Of each window.
+    **settings
+        The other parameters of :func:`power_law`.
 
     Raises
     ------
@@ -135,6 +147,14 @@ def local_slope(f: Callable[[Array], Any], x: ArrayLike, step: float = 0.01) -> 
 
     Their error is step²/6 of the third derivative. Of G″: ``local_slope(lambda w: spectrum(w).imag, omega)``.
 
+    Parameters
+    ----------
+    f : callable
+        Of an array.
+    x : array_like
+        Positive.
+    step : float
+
     Raises
     ------
     InputError
@@ -148,6 +168,19 @@ def local_slope(f: Callable[[Array], Any], x: ArrayLike, step: float = 0.01) -> 
     for end in ends:
         _check_positive("local slope: f", end)
     return np.asarray(np.log(ends[0] / ends[1]) / (2 * step))
+
+
+def log_slope(x: ArrayLike, y: ArrayLike) -> float:
+    """Return d ln y/d ln x of the straight line that fits best; NaN of fewer than two points.
+
+    Parameters
+    ----------
+    x, y : (w,)
+        Positive.
+    """
+    if len(np.asarray(x)) < 2:
+        return np.nan
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,21 +228,108 @@ class Collapse:
 
 
 def critical(mu: float, lam: float, *, p: float) -> tuple[float, float]:
-    """y/p^μ against x/p^λ: G* near jamming (BT eqs. 14–17). Between the plateaus G* ~ ω^Δ, Δ = μ/λ."""
+    """Return X/x = p^−λ and Y/y = p^−μ: G* near jamming (BT eqs. 14–17). Between the plateaus G* ~ ω^Δ, Δ = μ/λ.
+
+    Parameters
+    ----------
+    mu, lam : float
+        Exponents.
+    p : float
+        Pressure, k.
+    """
     return p**-lam, p**-mu
 
 
 def finite_size(a: float, b: float = 2.0, *, N: float) -> tuple[float, float]:
-    """y/N^a against x·N^b: η0 against p (BT Fig. 8). Where N plays no part any more, y ~ x^(−a/b)."""
+    """Return X/x = N^b and Y/y = N^−a: η0 against p (BT Fig. 8). Where η0 does not depend on N, y ~ x^(−a/b).
+
+    Parameters
+    ----------
+    a, b : float
+        Exponents.
+    N : float
+        Number of disks.
+    """
     return N**b, N**-a
 
 
 def log_corrected(c: float = 0.65, b: float = 0.5, *, p: float) -> tuple[float, float]:
-    """l/(−ln p)^c against ω/p^b: the correlation length under Stokes drag (BT Fig. 7d), p < 1.
+    """Return X/x = p^−b and Y/y = (−ln p)^−c: the correlation length under Stokes drag (BT Fig. 7d).
 
     BT print l(−ln p)^0.65. It is with the other sign of the exponent that lengths collapse.
+
+    Parameters
+    ----------
+    c, b : float
+        Exponents.
+    p : float
+        Pressure, k; below 1.
     """
     return p**-b, (-np.log(p)) ** -c
+
+
+def parabola_distance(curves: Sequence[Curve], form: Callable[..., tuple[float, float]], **exponents: float) -> float:
+    """Return the rms distance of ln Y from the parabola in ln X that fits best, of the means over packings.
+
+    It says how well curves collapse that are too short to be compared with each other.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Of one quantity.
+    form : callable
+        As for :func:`collapse`.
+    **exponents
+        Of ``form``.
+    """
+    points = []
+    for curve in curves:
+        X, Y = form(**exponents, **curve.parameters)
+        points.append(np.log([np.asarray(curve.x) * X, np.asarray(curve.samples).mean(0) * Y]))
+    x, y = np.concatenate(points, axis=1)
+    return float(np.sqrt(np.mean((y - np.polyval(np.polyfit(x, y, 2), x)) ** 2)))
+
+
+def nearest_parabola(
+    curves: Sequence[Curve],
+    form: Callable[..., tuple[float, float]],
+    name: str,
+    bounds: tuple[float, float],
+    resamples: int = 200,
+) -> tuple[float, float]:
+    """Find the exponent with the least :func:`parabola_distance`, and its standard error.
+
+    The error is the spread when n − 1 of the n packings of each curve are drawn with replacement.
+
+    Parameters
+    ----------
+    curves, form
+        As for :func:`parabola_distance`.
+    name : str
+        Of the exponent.
+    bounds : (float, float)
+        Between which it is sought.
+    resamples : int
+
+    Returns
+    -------
+    exponent, error : float
+    """
+
+    def best(drawn: Sequence[Curve]) -> float:
+        def cost(value: float) -> float:
+            return parabola_distance(drawn, form, **{name: value})
+
+        return float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
+
+    generator = np.random.default_rng(0)
+    found = []
+    for _ in range(resamples):
+        counts = [len(np.asarray(curve.samples)) for curve in curves]
+        rows = [generator.integers(n, size=n - 1) for n in counts]
+        drawn = [replace(curve, samples=np.asarray(curve.samples)[k]) for curve, k in zip(curves, rows, strict=True)]
+        found.append(best(drawn))
+    return best(curves), float(np.std(found))
 
 
 def collapse(
@@ -255,46 +375,10 @@ def collapse(
         raise InputError(f"collapse: {len(curves)} curves; it takes two")
     if not start:
         raise InputError("collapse: start names no exponent to find")
-    x, logs, names = [], [], tuple(start)
-    for c, curve in enumerate(curves):
-        points, log_y = _log_curve(curve, estimator, resamples, (seed, c), f"collapse, curve {c}")
-        x.append(points)
-        logs.append(log_y)
-    if len({log_y.shape[1] for log_y in logs}) > 1:
-        raise InputError(f"collapse: curves have {sorted({log_y.shape[1] for log_y in logs})} quantities")
-    spread = [log_y[1:] - log_y[1:].mean(axis=0) for log_y in logs]
-    variance = [(off * off).mean(axis=0) for off in spread]
-    covariance = [(off * np.roll(off, -1, axis=-1)).mean(axis=0) for off in spread]
-
-    def scaled(exponents: Array) -> tuple[list[Array], Array]:
-        """Return ln X of each curve, and what is added to its ln y."""
-        chosen = dict(zip(names, exponents, strict=True))
-        factors = np.log([form(**chosen, **curve.parameters) for curve in curves])
-        return [points + shift for points, shift in zip(x, factors[:, 0], strict=True)], factors[:, 1]
-
-    def cost(exponents: Array, b: int) -> float:
-        X, shifts = scaled(exponents)
-        if overlap(X) < least_overlap:
-            return np.inf
-        Y = [log_y[b] + shift for log_y, shift in zip(logs, shifts, strict=True)]
-        return quality(X, Y, variance, covariance)
-
-    def best(begin: Array, b: int) -> Array:
-        corners = begin + STEP * np.vstack([np.zeros(len(names)), np.eye(len(names))])
-        found = minimize(
-            cost,
-            begin,
-            args=(b,),
-            method="Nelder-Mead",
-            options={"initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(names)},
-        )
-        if not found.success:
-            raise SolverError(f"collapse: the search does not end: {found.message}")
-        return np.asarray(found.x)
-
-    first = np.array([start[name] for name in names], dtype=float)
+    search = _Search.of(curves, form, tuple(start), estimator, resamples, seed)
+    first = np.array(list(start.values()), dtype=float)
     try:
-        shared = overlap(scaled(first)[0])
+        shared = overlap(search.scaled(first)[0])
     except TypeError as error:
         raise InputError(f"collapse: the form does not fit the exponents and parameters: {error}") from error
     if not shared >= least_overlap:
@@ -302,20 +386,83 @@ def collapse(
             f"collapse: at the start curves share {shared:.2g} of their length, less than "
             f"{least_overlap:g}: start elsewhere, or lower least_overlap"
         )
-    fit = best(first, 0)
-    shared = overlap(scaled(fit)[0])
+    fit = search.best(first, 0, least_overlap)
+    shared = overlap(search.scaled(fit)[0])
     if shared < least_overlap + 0.02:
         raise SolverError(
             f"collapse: the curves agree best where they share only {shared:.2g} of their length: they do not collapse"
         )
-    resampled = np.array([best(fit, b) for b in range(1, resamples + 1)])
+    resampled = np.array([search.best(fit, b, least_overlap) for b in range(1, resamples + 1)])
     return Collapse(
-        exponents=dict(zip(names, fit.tolist(), strict=True)),
-        errors=dict(zip(names, resampled.std(axis=0).tolist(), strict=True)),
-        quality=cost(fit, 0),
+        exponents=dict(zip(start, fit.tolist(), strict=True)),
+        errors=dict(zip(start, resampled.std(axis=0).tolist(), strict=True)),
+        quality=search.quality(fit, 0),
         overlap=shared,
         resampled=resampled,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Curves, in logarithms, and the search for the exponents: ln x (w,), ln y (1 + b, q, w) of each curve."""
+
+    curves: Sequence[Curve]
+    form: Callable[..., tuple[float, float]]
+    names: tuple[str, ...]
+    x: list[Array]
+    logs: list[Array]
+    variance: list[Array]
+    covariance: list[Array]
+
+    @classmethod
+    def of(
+        cls,
+        curves: Sequence[Curve],
+        form: Callable[..., tuple[float, float]],
+        names: tuple[str, ...],
+        estimator: str,
+        resamples: int,
+        seed: int,
+    ) -> _Search:
+        found = [
+            _log_curve(curve, estimator, resamples, (seed, c), f"collapse, curve {c}") for c, curve in enumerate(curves)
+        ]
+        x, logs = [points for points, _ in found], [log_y for _, log_y in found]
+        if len({log_y.shape[1] for log_y in logs}) > 1:
+            raise InputError(f"collapse: curves have {sorted({log_y.shape[1] for log_y in logs})} quantities")
+        spread = [log_y[1:] - log_y[1:].mean(axis=0) for log_y in logs]
+        variance = [(off * off).mean(axis=0) for off in spread]
+        covariance = [(off * np.roll(off, -1, axis=-1)).mean(axis=0) for off in spread]
+        return cls(curves, form, names, x, logs, variance, covariance)
+
+    def scaled(self, exponents: Array) -> tuple[list[Array], Array]:
+        """Return ln X of each curve, and what is added to its ln y."""
+        chosen = dict(zip(self.names, exponents, strict=True))
+        factors = np.log([self.form(**chosen, **curve.parameters) for curve in self.curves])
+        return [points + shift for points, shift in zip(self.x, factors[:, 0], strict=True)], factors[:, 1]
+
+    def quality(self, exponents: Array, b: int) -> float:
+        """Return S of resample ``b``; 0 is that of all packings."""
+        X, shifts = self.scaled(exponents)
+        Y = [log_y[b] + shift for log_y, shift in zip(self.logs, shifts, strict=True)]
+        return quality(X, Y, self.variance, self.covariance)
+
+    def best(self, begin: Array, b: int, least_overlap: float) -> Array:
+        """Return the exponents of the least S, downhill from ``begin``."""
+
+        def cost(exponents: Array) -> float:
+            return self.quality(exponents, b) if overlap(self.scaled(exponents)[0]) >= least_overlap else np.inf
+
+        corners = begin + STEP * np.vstack([np.zeros(len(begin)), np.eye(len(begin))])
+        found = minimize(
+            cost,
+            begin,
+            method="Nelder-Mead",
+            options={"initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(begin)},
+        )
+        if not found.success:
+            raise SolverError(f"collapse: the search does not end: {found.message}")
+        return np.asarray(found.x)
 
 
 def quality(x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], covariance: Sequence[Array]) -> float:

@@ -5,7 +5,7 @@ Axes: k packing, m group, w frequency.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -18,6 +18,7 @@ from petscjam.response.origin import Result, frequencies
 from petscjam.response.result import ComplexModulus
 
 R = TypeVar("R", bound=Result)
+K = TypeVar("K", float, tuple)
 
 
 def deviation(samples: ArrayLike) -> Any:
@@ -40,9 +41,39 @@ def means(samples: Iterable[ArrayLike]) -> tuple[Array, Array]:
     return np.array([some.mean() for some in sets]), np.array([standard_error(some) for some in sets])
 
 
+def binned_medians(x: ArrayLike, y: ArrayLike, bins: int) -> tuple[Array, Array]:
+    """Return the geometric mean of x and the median of y in bins that are even in ln x, empty ones left out.
+
+    Parameters
+    ----------
+    x, y : (k,)
+        The x are positive.
+    bins : int
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    which = np.digitize(x, np.geomspace(x.min(), x.max() * 1.001, bins + 1))
+    groups = [which == k for k in np.unique(which)]
+    return np.exp([np.log(x[some]).mean() for some in groups]), np.array([np.median(y[some]) for some in groups])
+
+
 def nominal(pressure: float) -> float:
     """Return ``pressure`` to three digits: packings prepared for one pressure then have the same."""
     return float(f"{pressure:.2e}")
+
+
+def grouped(results: Iterable[R], key: Callable[[R], K]) -> dict[K, list[R]]:
+    """Return the results by their key, the lowest first.
+
+    Parameters
+    ----------
+    results : iterable
+    key : callable
+        Of a result.
+    """
+    groups: dict[K, list[R]] = {}
+    for r in results:
+        groups.setdefault(key(r), []).append(r)
+    return dict(sorted(groups.items()))
 
 
 def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
@@ -55,11 +86,8 @@ def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
     **same
         Attributes that a result must have to be taken, compared as text: ``prestress=False``.
     """
-    groups: dict[float, list[R]] = {}
-    for r in results:
-        if all(str(getattr(r, key)) == str(value) for key, value in same.items()):
-            groups.setdefault(nominal(r.origin.pressure), []).append(r)
-    return dict(sorted(groups.items()))
+    some = [r for r in results if all(str(getattr(r, key)) == str(value) for key, value in same.items())]
+    return grouped(some, lambda r: nominal(r.origin.pressure))
 
 
 class Kind(NamedTuple):

@@ -31,7 +31,7 @@ def analyse(options: argparse.Namespace, comm: Any) -> None:
 def figure(options: argparse.Namespace, comm: Any) -> None:
     """Make a figure from packings on."""
     from petscjam.base.progress import progress
-    from petscjam.figures import make_figure
+    from petscjam.figures import Request, make_figure
     from petscjam.parallel.petsc import start
 
     start(comm)
@@ -41,18 +41,16 @@ def figure(options: argparse.Namespace, comm: Any) -> None:
         print(line, flush=True)
 
     with progress(f"figure {options.name}", show=comm.rank == 0) as report:
-        make_figure(
+        request = Request(
             options.name,
             options.preset,
             folder,
-            file=options.parameters,
-            comm=comm,
+            options.parameters,
             overwrite=options.overwrite,
             resume=options.resume,
             existing=options.existing,
-            progress=report,
-            log=log,
         )
+        make_figure(request, comm=comm, progress=report, log=log)
     say(comm, on_root(comm, (folder / f"{options.name}.md").read_text))
     say(comm, f"{folder / options.name}.png")
 

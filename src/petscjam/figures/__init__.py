@@ -6,20 +6,23 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
 from importlib import import_module
-from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from petscjam.base.errors import InputError
-from petscjam.base.files import check_output, naming
+from petscjam.base.files import check_output, naming, write_atomically
 from petscjam.base.progress import Report
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import agree, on_root
 
 if TYPE_CHECKING:
-    from petscjam.figures.study import Finding
+    from petscjam.figures.page import Finding
+    from petscjam.figures.parameters import Parameters
 
 FIGURES = {
     "bt1": "G' and G'' over fourteen decades, and how the disks move",
@@ -36,7 +39,14 @@ FIGURES = {
 
 
 def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Return the parameters of figure ``name`` by preset, from its own file or another ``file``.
+    """Return the parameters of a figure by preset.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`FIGURES`.
+    file : Path, optional
+        TOML. Left out: the one that lies beside the module of the figure.
 
     Raises
     ------
@@ -45,60 +55,99 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     """
     if name not in FIGURES:
         raise InputError(f"figure {name!r} is unknown; known are {', '.join(FIGURES)}")
-    source = file or files("petscjam.figures") / f"{name}.toml"
-    with naming(str(source)):
+    module: Any = find_spec(f"petscjam.figures.{name}")
+    source = file or Path(module.origin).with_suffix(".toml")
+    with naming(source):
         try:
             return tomllib.loads(source.read_text(encoding="utf-8"))
         except ValueError as error:
             raise InputError(f"not TOML ({error})") from None
 
 
-def make_figure(
-    name: str,
-    preset: str,
-    folder: Path,
-    *,
-    file: Path | None = None,
-    comm: Any,
-    overwrite: bool = False,
-    resume: bool = False,
-    existing: bool = False,
-    progress: Report | None = None,
-    log: Any = print,
-) -> list[Finding]:
-    """Draw figure ``name`` into ``folder``: NAME.png, NAME.md with what was found, NAME*.h5 with the results.
+@dataclass(frozen=True)
+class Request:
+    """Which figure is asked for, and from what.
 
-    Packings lie in ``folder``/packings, for all figures. What is there already is kept, unless ``overwrite``;
-    ``existing`` prepares no further packings.
+    Attributes
+    ----------
+    name, preset : str
+    folder : Path
+        Packings lie in ``folder``/packings, for all figures.
+    file : Path, optional
+        Of parameters; left out, that of the package.
+    overwrite : bool
+        Make results anew; packings are kept all the same.
+    resume : bool
+        Keep what is there, and draw it.
+    existing : bool
+        Prepare no further packings.
+    """
+
+    name: str
+    preset: str
+    folder: Path
+    file: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    existing: bool = False
+
+    @property
+    def command(self) -> str:
+        """What the page says that it was made by."""
+        command = f"petscjam figure {self.name} --preset {self.preset}"
+        command += f" --parameters {self.file}" * (self.file is not None)
+        return command + " --existing" * self.existing
+
+    def parameters(self) -> Parameters:
+        """Return the parameters of the preset; of the same names and kinds as the shipped ones.
+
+        Raises
+        ------
+        InputError
+            On an unknown figure, preset or parameter.
+        """
+        from petscjam.figures.parameters import Parameters
+
+        known = presets(self.name, self.file)
+        if self.preset not in known:
+            raise InputError(f"--preset: {self.preset!r} is unknown for {self.name}; known are {', '.join(known)}")
+        if not isinstance(known[self.preset], dict):
+            raise InputError(f"{self.file}: {self.preset} is no table of parameters")
+        parameters = Parameters(self.name, self.preset, known[self.preset])
+        with naming(self.file) if self.file else nullcontext():
+            parameters.check(presets(self.name)["small"])
+        return parameters
+
+
+def make_figure(
+    request: Request, *, comm: Any, progress: Report | None = None, log: Callable[[str], None] = print
+) -> list[Finding]:
+    """Draw a figure: NAME.png, NAME.md with what was found, NAME*.h5 with the results. Collective.
+
+    Parameters
+    ----------
+    request : Request
+    comm : communicator
+    progress, log : callable
+        As for :func:`petscjam.io.jobs.analyse`.
 
     Raises
     ------
     InputError
-        On an unknown figure or preset, a parameter that it does not know, an output that exists.
+        On an unknown figure, preset or parameter, or an output that exists.
     """
-    from petscjam.figures.study import Study
+    from petscjam.figures.data import FigureData
 
-    agree(comm, name, preset, folder, file, overwrite, resume, existing)
-    known = on_root(comm, presets, name, file)
-    if preset not in known:
-        raise InputError(f"--preset: {preset!r} is unknown for {name}; known are {', '.join(known)}")
-    if not isinstance(known[preset], dict):
-        raise InputError(f"{file}: {preset} is no table of parameters")
-    shipped = on_root(comm, presets, name)["small"]
-    expected, given = set(shipped), set(known[preset])
-    for what, keys in (("lacks", expected - given), ("has the unknown", given - expected)):
-        if keys:
-            raise InputError(f"{name}: the preset {preset} {what} {', '.join(sorted(keys))}")
-    picture = folder / f"{name}.png"
+    agree(comm, request)
+    parameters = on_root(comm, request.parameters)
+    name, folder = request.name, request.folder
+    picture, page = folder / f"{name}.png", folder / f"{name}.md"
     with made_folder(folder, comm), claimed(picture, comm):
-        for target in (picture, folder / f"{name}.md"):
-            inputs = [file] if file else []
-            on_root(comm, check_output, target, overwrite=overwrite or resume, inputs=inputs)
-        study = Study(name, preset, known[preset], folder, comm, overwrite, existing, progress, log)
-        with naming(file) if file else nullcontext():
-            study.check(shipped)
-        import_module(f"petscjam.figures.{name}").draw(study, picture)
-        command = f"petscjam figure {name} --preset {preset}"
-        command += f" --parameters {file}" * (file is not None) + " --existing" * existing
-        on_root(comm, study.write, command)
-        return list(comm.bcast(study.findings))
+        for target in (picture, page):
+            inputs = [request.file] if request.file else []
+            on_root(comm, check_output, target, overwrite=request.overwrite or request.resume, inputs=inputs)
+        data = FigureData(parameters, folder, comm, request.overwrite, request.existing, progress, log)
+        import_module(f"petscjam.figures.{name}").draw(data, parameters, picture)
+        text = data.page.text(request.command, parameters.values)
+        on_root(comm, write_atomically, page, text.encode())
+        return list(comm.bcast(data.page.findings))

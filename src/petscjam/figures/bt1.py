@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.scaling import log_slope
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Finding, Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import STORAGE, save
@@ -18,15 +21,15 @@ from petscjam.plots.packing import draw_packing
 from petscjam.rows.damping import ContactDamping
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    analysis = ModulusAnalysis(study.points("omega"), fields_at=study.points("fields"))
-    results = study.results(files, analysis, [ContactDamping()])
-    on_root(study.comm, _draw, study, study.tally(results, "G*"), picture)
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    analysis = ModulusAnalysis(parameters.points("omega"), fields_at=parameters.points("fields"))
+    results = data.results(files, analysis, [ContactDamping()])
+    on_root(data.comm, _draw, data.page, data.stable(results, "G*"), picture)
 
 
-def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     some = list(results.values())
@@ -51,7 +54,5 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
     omega = some[0].omega
     middle = (omega > 3 * pressure) & (omega < 0.1)
     for name, part in (("G′", np.real), ("G″", np.imag)):
-        slopes = [np.polyfit(np.log(omega[middle]), np.log(part(g.values[middle])), 1)[0] for g in some]
-        error = np.std(slopes, ddof=1) / len(slopes) ** 0.5 if len(slopes) > 1 else np.nan
-        remark = f"ω from {omega[middle][0]:.1e} to {omega[middle][-1]:.1e}"
-        study.findings.append(Finding(f"{name} ~ ω^Δ", float(np.mean(slopes)), float(error), "1/2", remark))
+        slopes = [log_slope(omega[middle], part(g.values[middle])) for g in some]
+        page.mean(f"{name} ~ ω^Δ", slopes, "1/2", f"ω from {omega[middle][0]:.1e} to {omega[middle][-1]:.1e}")

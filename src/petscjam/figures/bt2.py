@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.figures.study import Study
+from petscjam.figures.data import FigureData
+from petscjam.figures.parameters import Parameters
 from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import LOSS, STORAGE, save
+from petscjam.plots.figure import LOSS, STORAGE, arrows, disks, save
 from petscjam.response.limits import quasistatic, relax_dissipation
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.damping import ContactDamping
@@ -23,13 +24,13 @@ from petscjam.rows.kinematics import SIMPLE_SHEAR, contact_rows
 MOST_NEIGHBOURS = 6
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    packing = on_root(study.comm, import_packing, files[0])
-    problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], False, study.comm)
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    packing = on_root(data.comm, import_packing, files[0])
+    problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], False, data.comm)
     (q, _), _ = relax_dissipation(problem, (quasistatic(problem)[0][0], np.ones(1)))
-    on_root(study.comm, _draw, packing, problem, q.real, picture)
+    on_root(data.comm, _draw, packing, problem, q.real, picture)
 
 
 def _draw(packing: Packing, problem: LinearProblem, q: Any, picture: Path) -> None:
@@ -63,17 +64,7 @@ def _draw_contacts(axes: Any, problem: LinearProblem, q: Any) -> None:
         point = n * network.radii[disk]
         # Δu∥ and Δu⊥ are the same seen from either disk: n and t both turn round
         for amount, direction, colour in ((motion[c, 0], n, STORAGE), (motion[c, 1], t, LOSS)):
-            axes.quiver(
-                *point,
-                *(amount / size * direction),
-                angles="xy",
-                scale_units="xy",
-                scale=1,
-                color=colour,
-                width=0.008,
-                headwidth=3.5,
-                minlength=0,
-            )
+            arrows(axes, point, amount / size * direction, color=colour, width=0.008, headwidth=3.5, minlength=0)
     axes.plot([], [], color=STORAGE, label=r"$\Delta\dot u^\parallel$")
     axes.plot([], [], color=LOSS, label=r"$\Delta\dot u^{\perp,c}$, rotations counted")
     axes.legend(frameon=False, loc="upper left")
@@ -85,41 +76,18 @@ def _draw_contacts(axes: Any, problem: LinearProblem, q: Any) -> None:
 
 def _draw_drag(axes: Any, packing: Packing, problem: LinearProblem, q: Any) -> None:
     """Draw every disk with its velocity against the affine flow."""
-    from matplotlib.collections import EllipseCollection
-
     box = packing.box
     x = box.wrap(packing.positions)
     u = np.nan_to_num(problem.displacement(q))
     spacing = np.sqrt(box.area / len(packing))
-    width = 2 * packing.radii
-    axes.add_collection(
-        EllipseCollection(
-            width,
-            width,
-            np.zeros(len(width)),
-            units="xy",
-            offsets=x,
-            offset_transform=axes.transData,
-            facecolors="#e9eff6",
-            edgecolors="0.6",
-        )
-    )
+    axes.add_collection(disks(axes, x, packing.radii, facecolors="#e9eff6", edgecolors="0.6"))
     size = np.sqrt((u**2).sum(1).mean()) / spacing
-    axes.quiver(*x.T, *(u / size).T, angles="xy", scale_units="xy", scale=1, color=STORAGE, width=0.005)
+    arrows(axes, x, u / size, color=STORAGE, width=0.005)
     height = box.cell[:, 1].max()
     y = np.linspace(0, height, 9)
     start, longest = -0.22 * height, 0.2 * height
-    axes.quiver(
-        np.full(9, start),
-        y,
-        longest * (y / height - 0.5),
-        np.zeros(9),
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color=LOSS,
-        width=0.005,
-    )
+    flow = np.stack([longest * (y / height - 0.5), np.zeros(9)], axis=1)
+    arrows(axes, np.stack([np.full(9, start), y], axis=1), flow, color=LOSS, width=0.005)
     axes.annotate(r"$\dot\gamma y$", (start, height), (-8, 8), textcoords="offset points", color=LOSS)
     axes.set_title("(b) Stokes drag: velocities against the affine flow", fontsize=10)
     axes.set(aspect="equal", xlim=(-0.36 * height, 1.05 * height), ylim=(-0.05 * height, 1.1 * height))

@@ -13,8 +13,10 @@ import numpy as np
 
 from petscjam.analysis.scaling import Curve, collapse, critical, local_slope
 from petscjam.analysis.statistics import by_pressure
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Finding, Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Finding, Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -24,15 +26,15 @@ from petscjam.rows.damping import ContactDamping, DampingLaw
 AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    results = study.results(files, ModulusAnalysis(study.points("omega")), [ContactDamping()], (True, False))
-    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), ContactDamping(), picture)
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    results = data.results(files, ModulusAnalysis(parameters.points("omega")), [ContactDamping()], (True, False))
+    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), ContactDamping(), picture)
 
 
 def draw_collapse(
-    study: Study, results: Mapping[str, Any], law: DampingLaw, picture: Path, affine: float = AFFINE
+    page: Page, results: Mapping[str, Any], law: DampingLaw, picture: Path, affine: float = AFFINE
 ) -> None:
     """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents.
 
@@ -46,7 +48,7 @@ def draw_collapse(
         groups = by_pressure(results.values(), prestress=prestress)
         if not groups:
             continue
-        exponents(study, groups, given(prestress), affine)
+        exponents(page, groups, given(prestress), affine)
         colour = coloured(list(groups))
         for p, some in groups.items():
             draw_mean(row[0], some, colour(p), f"p = {p:.2g} ({len(some)})")
@@ -62,25 +64,24 @@ def draw_collapse(
     save(figure, picture)
 
 
-def exponents(study: Study, groups: Mapping[float, list[Any]], how: str, affine: float) -> None:
+def exponents(page: Page, groups: Mapping[float, list[Any]], how: str, affine: float) -> None:
     """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime."""
     p = np.array(list(groups))
-    study.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
-    study.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")
+    page.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
+    page.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")
     times = [[g.eta0 / g.G0 for g in some] for some in groups.values()]
-    study.exponent(f"−λ, τ* = η0/G0 ~ p^−λ (medians), {how}", p, times, "−1", estimator="median")
+    page.exponent(f"−λ, τ* = η0/G0 ~ p^−λ (medians), {how}", p, times, "−1", estimator="median")
     for name, most_p, most_omega in (("", np.inf, affine), (", p ≤ 1e-3, ω ≤ 0.01", 1.01e-3, 0.01)):
-        _collapsed(study, {x: some for x, some in groups.items() if x <= most_p}, most_omega, how + name)
+        _collapsed(page, {x: some for x, some in groups.items() if x <= most_p}, most_omega, how + name)
     lowest = groups[p.min()]
     middle = float(np.sqrt(p.min() * affine))
     for name, part in (("G′", np.real), ("G″", np.imag)):
         slopes = [_slope(g.model, part, middle) for g in lowest]
-        spread = float(np.std(slopes, ddof=1) / len(slopes) ** 0.5) if len(slopes) > 1 else np.nan
         remark = f"d ln {name}/d ln ω at ω = {middle:.1e}, p = {p.min():.2g}"
-        study.findings.append(Finding(f"Δ of {name}, {how}", float(np.mean(slopes)), spread, "1/2", remark))
+        page.mean(f"Δ of {name}, {how}", slopes, "1/2", remark)
 
 
-def _collapsed(study: Study, groups: Mapping[float, list[Any]], most: float, how: str) -> None:
+def _collapsed(page: Page, groups: Mapping[float, list[Any]], most: float, how: str) -> None:
     """Note μ, λ and Δ = μ/λ of the collapse of G′ and G″ below the frequency ``most``."""
     curves = [
         Curve(some[0].omega[kept], np.array([[g.values.real[kept], g.values.imag[kept]] for g in some]), {"p": x})
@@ -88,13 +89,13 @@ def _collapsed(study: Study, groups: Mapping[float, list[Any]], most: float, how
         if len(some) > 1
         for kept in [some[0].omega <= most]
     ]
-    found = study.collapsed(
+    found = page.collapse(
         f"collapse, {how}", lambda: collapse(curves, critical, {"mu": 0.5, "lam": 1.0}), {"mu": "1/2", "lam": "1"}
     )
     if found:
         delta = found.resampled[:, 0] / found.resampled[:, 1]
         value = found.exponents["mu"] / found.exponents["lam"]
-        study.findings.append(Finding(f"collapse, {how}: Δ = μ/λ", value, float(delta.std()), "1/2"))
+        page.findings.append(Finding(f"collapse, {how}: Δ = μ/λ", value, float(delta.std()), "1/2"))
 
 
 def _slope(model: Any, part: Any, omega: float) -> float:

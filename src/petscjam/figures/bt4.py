@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from petscjam.analysis.statistics import by_pressure, means
+from petscjam.analysis.statistics import by_pressure, grouped, means
 from petscjam.analysis.viscosity import viscosity
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -21,43 +23,43 @@ from petscjam.rows.damping import ContactDamping
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    omega, betas = study.points("omega"), [ContactDamping(float(beta)) for beta in study.points("betas")]
-    files = study.packings(study["particles"], study.points("pressure"))
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    omega, betas = parameters.points("omega"), list(map(ContactDamping, parameters.points("betas").tolist()))
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
     both, G = (True, False), ModulusAnalysis(omega)
-    undamped = study.results(files, G, [UNDAMPED], both, tag="undamped")
-    centres = study.results(files, G, [CENTRES], (False,), tag="centres")
-    eta0 = study.results(files, PackingAnalysis(viscosity), [UNDAMPED, ContactDamping()], both, tag="viscosity")
-    one = study.packings(study["particles"], [study["beta_pressure"]])
-    weak = study.results(one, ModulusAnalysis(omega, family=True), betas, tag="betas")
+    undamped = data.results(files, G, [UNDAMPED], both, tag="undamped")
+    centres = data.results(files, G, [CENTRES], (False,), tag="centres")
+    eta0 = data.results(files, PackingAnalysis(viscosity), [UNDAMPED, ContactDamping()], both, tag="viscosity")
+    one = data.packings(parameters["particles"], [parameters["beta_pressure"]])
+    weak = data.results(one, ModulusAnalysis(omega, family=True), betas, tag="betas")
     on_root(
-        study.comm,
+        data.comm,
         _draw,
-        study,
+        data.page,
         {
-            "undamped": study.tally(undamped, "β = 0"),
-            "centres": study.tally(centres, "β = 1 at the centres"),
-            "weak": study.tally(weak, "varying β"),
-            "eta0": study.tally(eta0, "η0"),
+            "undamped": data.stable(undamped, "β = 0"),
+            "centres": data.stable(centres, "β = 1 at the centres"),
+            "weak": data.stable(weak, "varying β"),
+            "eta0": data.stable(eta0, "η0"),
         },
         picture,
     )
 
 
-def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 10.5), layout="constrained")
     panels = figure.subplots(2, 2)
-    _draw_undamped(study, panels[0], results["undamped"])
+    _draw_undamped(page, panels[0], results["undamped"])
     _draw_betas(panels[1, 0], results["weak"], results["eta0"])
-    _draw_centres(study, panels[1, 1], results["centres"])
-    _crossover(study, results["eta0"])
+    _draw_centres(page, panels[1, 1], results["centres"])
+    _crossover(page, results["eta0"])
     save(figure, picture)
 
 
-def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> None:
+def _draw_undamped(page: Page, panels: Any, results: Mapping[str, Any]) -> None:
     """Draw β = 0 with pre-stress (circles) and without (lines), raw and collapsed by p^½."""
     for prestress in (True, False):
         groups = by_pressure(results.values(), prestress=prestress)
@@ -78,7 +80,7 @@ def _draw_undamped(study: Study, panels: Any, results: Mapping[str, Any]) -> Non
             ("G∞ ~ p^x", lambda g: g.G_inf, "1/2"),
         ):
             samples = [[values(g) for g in some] for some in groups.values()]
-            study.exponent(f"β = 0, {name}, {how}", p, samples, paper)
+            page.exponent(f"β = 0, {name}, {how}", p, samples, paper)
     panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  (units of $k$)")
     panels[0].set_title("(a) β = 0: with pre-stress (symbols), without (lines)", fontsize=10)
     panels[0].legend(frameon=False, fontsize=8)
@@ -93,10 +95,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
     """
     from matplotlib import colormaps
 
-    groups: dict[float, list[Any]] = {}
-    for g in results.values():
-        groups.setdefault(g.damping.beta, []).append(g)
-    groups = dict(sorted(groups.items()))
+    groups = grouped(results.values(), lambda g: g.damping.beta)
     low, high = np.log(min(groups)), np.log(max(groups))
     inset = axes.inset_axes((0.1, 0.68, 0.36, 0.3))
     inset.set(xscale="log", yscale="log", xlabel=r"$\beta$")
@@ -121,7 +120,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
     axes.legend(frameon=False, fontsize=7, loc="lower right")
 
 
-def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
+def _draw_centres(page: Page, axes: Any, results: Mapping[str, Any]) -> None:
     """Draw β = 1 with friction at the centres, scaled as if disks rolled."""
     groups = by_pressure(results.values(), prestress=False)
     colour = coloured(list(groups))
@@ -131,7 +130,7 @@ def _draw_centres(study: Study, axes: Any, results: Mapping[str, Any]) -> None:
     p = np.array(list(groups))
     for name, values, paper in (("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^(μ−λ)", lambda g: g.eta0, "−1/2")):
         samples = [[values(g) for g in some] for some in groups.values()]
-        study.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
+        page.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
     axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
     axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse", fontsize=10)
     axes.legend(frameon=False, fontsize=8)
@@ -142,7 +141,7 @@ def _by_packing(results: Mapping[str, Any], law: ContactDamping) -> dict[str, fl
     return {v.origin.checksum: v.eta0 for v in results.values() if v.damping == law and v.prestress}
 
 
-def _crossover(study: Study, results: Mapping[str, Any]) -> None:
+def _crossover(page: Page, results: Mapping[str, Any]) -> None:
     """Note β* ~ p: η0 = η0(0) + sβ exactly, for θ follows alike at every β; β* is where both are equal."""
     for prestress in (True, False):
         laws = UNDAMPED, ContactDamping()
@@ -151,4 +150,4 @@ def _crossover(study: Study, results: Mapping[str, Any]) -> None:
         for p in none:
             with_friction = {v.origin.checksum: v.eta0 for v in full[p]}
             samples.append([v.eta0 / (with_friction[v.origin.checksum] - v.eta0) for v in none[p]])
-        study.exponent(f"β* ~ p^x, {given(prestress)}", np.array(list(none)), samples, "1")
+        page.exponent(f"β* ~ p^x, {given(prestress)}", np.array(list(none)), samples, "1")

@@ -10,7 +10,9 @@ import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.analysis.statistics import by_pressure, means
-from petscjam.figures.study import Study
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -21,14 +23,14 @@ LOW = 1e-3  # where corrections to scaling are smaller
 PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    results = study.results(files, PackingAnalysis(quasistatic_response), prestress=(True, False))
-    on_root(study.comm, _draw, study, study.tally(results, "quasi-static responses"), picture)
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    results = data.results(files, PackingAnalysis(quasistatic_response), prestress=(True, False))
+    on_root(data.comm, _draw, data.page, data.stable(results, "quasi-static responses"), picture)
 
 
-def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 9), layout="constrained")
@@ -44,8 +46,8 @@ def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
                 samples = [[float(take(r.sizes(motion))) for r in some] for some in groups.values()]
                 mean, error = means(samples)
                 what = f"{name} of {motion} motion, {given(prestress)}"
-                fit = study.exponent(what, p, samples, PAPER[motion])
-                study.exponent(f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW))
+                fit = page.exponent(what, p, samples, PAPER[motion])
+                page.exponent(f"{what}, p ≤ {LOW:g}", p, samples, PAPER[motion], (float(p.min()), 1.01 * LOW))
                 slope = f": {fit.exponent:+.3f} ± {fit.error:.3f}" if fit else ""
                 label = f"{LABELS[motion]}, {given(prestress)}{slope}"
                 panels[name].errorbar(
@@ -70,14 +72,7 @@ def _draw_energy(axes: Any, p: Any, groups: Mapping[float, list[Any]], prestress
         mean, error = means([[sign * getattr(r, name) for r in some] for some in groups.values()])
         if (mean > 0).all():
             text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[name]
-            axes.errorbar(
-                p,
-                mean,
-                error,
-                fmt=marker,
-                ms=5,
-                mfc=None if prestress else "white",
-                label=f"{text}, {given(prestress)}",
-            )
+            face, label = None if prestress else "white", f"{text}, {given(prestress)}"
+            axes.errorbar(p, mean, error, fmt=marker, ms=5, mfc=face, label=label)
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel="energy per area and $\\gamma^2/2$")
     axes.legend(frameon=False, fontsize=7)

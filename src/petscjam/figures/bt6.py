@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from petscjam.analysis.statistics import grouped
 from petscjam.figures.bt3 import draw_collapse
+from petscjam.figures.data import FigureData
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.study import Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
@@ -17,17 +19,17 @@ from petscjam.rows.damping import StokesDrag
 FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 
 
-def draw(study: Study, picture: Path) -> None:
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
     """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    analysis = ModulusAnalysis(study.points("omega"))
-    results = study.results(files, analysis, [StokesDrag()], (True, False))
-    on_root(study.comm, draw_collapse, study, study.tally(results, "G*"), StokesDrag(), picture, FLUID)
-    one = study.packings(study["particles"], [study["fluid_pressure"]])
-    fluids = [StokesDrag(float(eta)) for eta in study.points("fluids")]
-    varied = study.results(one, analysis, fluids, tag="fluids")
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    analysis = ModulusAnalysis(parameters.points("omega"))
+    results = data.results(files, analysis, [StokesDrag()], (True, False))
+    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), StokesDrag(), picture, FLUID)
+    one = data.packings(parameters["particles"], [parameters["fluid_pressure"]])
+    fluids = [StokesDrag(float(eta)) for eta in parameters.points("fluids")]
+    varied = data.results(one, analysis, fluids, tag="fluids")
     other = picture.with_stem(f"{picture.stem}-fluid")
-    on_root(study.comm, _draw_fluids, study.tally(varied, "varying ηF"), other)
+    on_root(data.comm, _draw_fluids, data.stable(varied, "varying ηF"), other)
 
 
 def _draw_fluids(results: Mapping[str, Any], picture: Path) -> None:
@@ -35,12 +37,10 @@ def _draw_fluids(results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
-    groups: dict[float, list[Any]] = {}
-    for g in results.values():
-        groups.setdefault(g.damping.fluid, []).append(g)
+    groups = grouped(results.values(), lambda g: g.damping.fluid)
     figure = Figure(figsize=(8, 6), layout="constrained")
     axes = figure.subplots()
-    for k, (eta, some) in enumerate(sorted(groups.items())):
+    for k, (eta, some) in enumerate(groups.items()):
         draw_mean(axes, some, colormaps["plasma"](0.85 * k / len(groups)), rf"$\eta_F$ = {eta:.0e}")
     guide(axes, (1e-4, 1e-2), 5e-4, 0.5, "slope ½")
     pressure = next(iter(results.values())).origin.pressure

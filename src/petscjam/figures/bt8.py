@@ -12,7 +12,9 @@ import numpy as np
 from petscjam.analysis.scaling import Curve, collapse, finite_size
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
-from petscjam.figures.study import Study
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -25,40 +27,32 @@ LARGE = 50.0  # pN² from which η0 is looked at for a dependence on N
 MARKERS = "osD^vP*X"
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
     results: dict[str, Any] = {}
-    pressures, fewer = study.points("pressure"), study.points("large_pressure")
-    for n in study.points("particles").astype(int).tolist():
-        files = study.packings(n, fewer if n >= study["large"] else pressures)
-        made = study.results(files, PackingAnalysis(viscosity), list(EXPONENTS), (True, False), tag=f"N{n}")
-        results |= {f"{n} {name}": v for name, v in study.tally(made, f"η0, N = {n}").items()}
-    on_root(study.comm, _draw, study, results, picture)
+    pressures, fewer = parameters.points("pressure"), parameters.points("large_pressure")
+    for n in parameters.points("particles").astype(int).tolist():
+        files = data.packings(n, fewer if n >= parameters["large"] else pressures)
+        made = data.results(files, PackingAnalysis(viscosity), list(EXPONENTS), (True, False), tag=f"N{n}")
+        results |= {f"{n} {name}": v for name, v in data.stable(made, f"η0, N = {n}").items()}
+    on_root(data.comm, _draw, data.page, results, picture)
 
 
-def _draw(study: Study, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 5.6), layout="constrained")
     for axes, (law, a) in zip(figure.subplots(1, 2), EXPONENTS.items(), strict=True):
         for prestress in (False, True):
             curves = _curves(results, law, prestress)
-            _find(study, curves, law, a, prestress)
+            _find(page, curves, law, a, prestress)
             if not prestress:
-                _intensive(study, curves, law)
+                _intensive(page, curves, law)
             for k, (n, groups) in enumerate(curves.items()):
                 p = np.array(list(groups))
-                mean, error = means(list(groups.values()))
-                axes.errorbar(
-                    p * n**2,
-                    mean / n**a,
-                    error / n**a,
-                    fmt=MARKERS[k],
-                    color=f"C{k}",
-                    ms=5,
-                    mfc=f"C{k}" if prestress else "white",
-                    label=f"N = {n}, {given(prestress)}",
-                )
+                y, error = np.array(means(groups.values())) / n**a
+                face, label = f"C{k}" if prestress else "white", f"N = {n}, {given(prestress)}"
+                axes.errorbar(p * n**2, y, error, fmt=MARKERS[k], color=f"C{k}", ms=5, mfc=face, label=label)
         x = np.array([1e2, 1e5])
         axes.plot(x, 1.2 * x ** (-a / 2), "k--", lw=1, label=f"slope −a/2, a = {a:g}")
         axes.set(xscale="log", yscale="log", xlabel="$pN^2$", ylabel=rf"$\eta_0/N^a$, a = {a:g}")
@@ -78,16 +72,16 @@ def _curves(results: Mapping[str, Any], law: DampingLaw, prestress: bool) -> dic
     return curves
 
 
-def _intensive(study: Study, curves: Mapping[int, Any], law: DampingLaw) -> None:
+def _intensive(page: Page, curves: Mapping[int, Any], law: DampingLaw) -> None:
     """Note how η0 depends on the number of disks where that should not matter: x = 0 if it is intensive."""
     for p in sorted({p for groups in curves.values() for p in groups}):
         sizes = [n for n, groups in curves.items() if p in groups and p * n**2 >= LARGE]
         if len(sizes) > 2:
             samples = [curves[n][p] for n in sizes]
-            study.exponent(f"η0 ~ N^x, {law}, without pre-stress, p = {p:.2g}", sizes, samples, "0, or a − 1")
+            page.exponent(f"η0 ~ N^x, {law}, without pre-stress, p = {p:.2g}", sizes, samples, "0, or a − 1")
 
 
-def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, prestress: bool) -> None:
+def _find(page: Page, curves: Mapping[int, Any], law: DampingLaw, a: float, prestress: bool) -> None:
     """Note a of the best collapse, and the exponent of the largest size by itself, for two windows of p."""
     for most, window in ((np.inf, ""), (1.01 * LOW, f", p ≤ {LOW:g}")):
         how = f"{law}, {given(prestress)}{window}"
@@ -97,13 +91,13 @@ def _find(study: Study, curves: Mapping[int, Any], law: DampingLaw, a: float, pr
             if len(groups) < 2:
                 continue
             count = min(map(len, groups.values()))
-            study.tallies.append(f"Collapse, {how}, N = {n}: {count} stable packings of each pressure.")
+            page.tallies.append(f"Collapse, {how}, N = {n}: {count} stable packings of each pressure.")
             samples = np.array([values[:count] for values in groups.values()]).T
             some.append(Curve(np.array(list(groups)), samples, {"N": float(n)}))
-        study.collapsed(how, partial(collapse, some, finite_size, {"a": 1.0}), {"a": f"{a:g}"})
+        page.collapse(how, partial(collapse, some, finite_size, {"a": 1.0}), {"a": f"{a:g}"})
         n = max(kept, default=0)
         if not kept.get(n):
             continue
         p = np.array(list(kept[n]))
         bulk = BULK / n**2, float(p.max())
-        study.exponent(f"η0 ~ p^x, {how}, N = {n}", p, list(kept[n].values()), "−1/2", bulk)
+        page.exponent(f"η0 ~ p^x, {how}, N = {n}", p, list(kept[n].values()), "−1/2", bulk)

@@ -13,9 +13,12 @@ import numpy as np
 
 from petscjam.analysis.contact_drag import self_consistent_drag
 from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
+from petscjam.analysis.scaling import log_slope
 from petscjam.analysis.statistics import by_pressure
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
 from petscjam.figures.panels import guide
-from petscjam.figures.study import Finding, Study
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
@@ -25,51 +28,42 @@ from petscjam.rows.damping import ContactDamping
 AFFINE = 0.05  # ωτα above which the response is no longer critical
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    analysis: Any = ModulusAnalysis(study.points("linear_omega"))
-    linear = study.results(files, analysis, [ContactDamping()], (False,), tag="linear")
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    analysis: Any = ModulusAnalysis(parameters.points("linear_omega"))
+    linear = data.results(files, analysis, [ContactDamping()], (False,), tag="linear")
     contacts = {}
-    for alpha in study.points("alphas").tolist():
-        settings = {"omegas": study.points("omega"), "stress": study["stress"], "alpha": alpha}
+    for alpha in parameters.points("alphas").tolist():
+        settings = {"omegas": parameters.points("omega"), "stress": parameters["stress"], "alpha": alpha}
         analysis = PackingAnalysis(self_consistent_drag, settings)
-        contacts[alpha] = study.results(files, analysis, prestress=(False,), tag=f"alpha{alpha:.3f}")
-    on_root(study.comm, _draw, study, linear, contacts, picture)
+        contacts[alpha] = data.results(files, analysis, prestress=(False,), tag=f"alpha{alpha:.3f}")
+    on_root(data.comm, _draw, data.page, linear, contacts, picture)
 
 
-def _draw(study: Study, linear: Mapping[str, Any], contacts: Mapping[float, Any], picture: Path) -> None:
+def _draw(page: Page, linear: Mapping[str, Any], contacts: Mapping[float, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 5.2 * len(contacts)), layout="constrained")
     panels = figure.subplots(len(contacts), 2, squeeze=False)
     for row, (alpha, results) in zip(panels, contacts.items(), strict=True):
-        groups = by_pressure(results.values())
+        groups, first = by_pressure(results.values()), next(iter(results.values()))
         uniform = {
-            p: [equivalent_drag(g.model, study.points("omega"), study["stress"], alpha) for g in some]
+            p: [equivalent_drag(g.model, first.omega, first.stress, alpha) for g in some]
             for p, some in by_pressure(linear.values()).items()
         }
         colour = coloured(list(groups))
         for form, found in (("one time", uniform), ("per contact", groups)):
             for p, some in found.items():
                 _draw_mean(row[0], some, colour(p), form, f"p = {p:.2g} ({len(some)})")
-            _note(study, alpha, form, found)
+            _note(page, alpha, form, found)
         _draw_ratio(row[1], uniform, groups, colour)
-        low = float(study.points("omega").min())
-        guide(
-            row[0],
-            (3 * low, 300 * low),
-            float(abs(uniform[max(uniform)][0].values.imag).min()),
-            alpha,
-            f"slope {alpha:.2g}",
-        )
+        low, height = first.omega.min(), abs(uniform[max(uniform)][0].values.imag).min()
+        guide(row[0], (3 * low, 300 * low), float(height), alpha, f"slope {alpha:.2g}")
         guide(row[0], (1e-3, 1e-1), 3e-3, alpha / 2, f"slope {alpha / 2:.2g}")
         row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-        row[0].set_title(
-            rf"α = {alpha:.3g}, $\delta\sigma$ = {study['stress']:.0e}, without pre-stress; "
-            "symbols: per contact, lines: one time",
-            fontsize=10,
-        )
+        what = rf"α = {alpha:.3g}, $\delta\sigma$ = {first.stress:.0e}, without pre-stress"
+        row[0].set_title(f"{what}; symbols: per contact, lines: one time", fontsize=10)
         row[0].legend(frameon=False, fontsize=8)
     save(figure, picture)
 
@@ -94,7 +88,7 @@ def _draw_ratio(axes: Any, uniform: Mapping[float, Any], contacts: Mapping[float
     axes.legend(frameon=False, fontsize=8)
 
 
-def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
+def _note(page: Page, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
     """Note the slopes of eqs. 27–29 and how G″ depends on p at the lowest frequency."""
     name = f"α = {alpha:.3g}, {form}"
     lowest = groups[min(groups)]
@@ -107,22 +101,18 @@ def _note(study: Study, alpha: float, form: str, groups: Mapping[float, list[Non
     ):
         some = groups[max(groups)] if choose == "quasi-static" else lowest
         slopes = [_slope(g, part, choose) for g in some]
-        error = np.std(slopes, ddof=1) / len(slopes) ** 0.5 if len(slopes) > 1 else np.nan
-        remark = f"p = {some[0].origin.pressure:.2g}"
-        study.findings.append(Finding(f"{name}: {what}", float(np.mean(slopes)), float(error), paper, remark))
+        page.mean(f"{name}: {what}", slopes, paper, f"p = {some[0].origin.pressure:.2g}")
     p = np.array(list(groups))
     samples = [[float(g.values.imag[0]) for g in some] for some in groups.values()]
     expected = "−1/2" + f"; per contact {(1 - 3 * alpha) / 4:.3g} expected" * own
-    study.exponent(f"{name}: quasi-static G″ ~ p^x", p, samples, expected)
+    page.exponent(f"{name}: quasi-static G″ ~ p^x", p, samples, expected)
     every = [g for some in groups.values() for g in some]
     lost, most = sum(int((~g.converged).sum()) for g in every), max(int(g.iterations.max()) for g in every)
-    study.tallies.append(f"{name}: {lost} points did not converge; at most {most} iterations.")
+    page.tallies.append(f"{name}: {lost} points did not converge; at most {most} iterations.")
 
 
 def _slope(g: NonlinearModulus, part: Any, choose: str) -> float:
     """Return the slope where ωτ is below a tenth of the crossover p, or between ten p and ``AFFINE``."""
     rate, p = g.omega * g.tau, g.origin.pressure
     kept = rate < 0.1 * p if choose == "quasi-static" else (rate > 10 * p) & (rate < AFFINE)
-    if kept.sum() < 2:
-        return np.nan
-    return float(np.polyfit(np.log(g.omega[kept]), np.log(part(g.values[kept])), 1)[0])
+    return log_slope(g.omega[kept], part(g.values[kept]))

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from petscjam.analysis.density import density_of_states, plateau
-from petscjam.analysis.mode_sum import ModeSum, mode_sum
+from petscjam.analysis.mode_sum import ModeSum, mode_sum, modes_needed
 from petscjam.analysis.nonaffine import MOTIONS
-from petscjam.analysis.statistics import by_pressure, means
-from petscjam.base.types import Array, Integers
-from petscjam.figures.study import Finding, Study
+from petscjam.analysis.statistics import binned_medians, by_pressure, means
+from petscjam.figures.data import FigureData
+from petscjam.figures.page import Page
+from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
@@ -26,17 +27,17 @@ from petscjam.plots.nonaffine import LABELS, STYLES
 WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 
 
-def draw(study: Study, picture: Path) -> None:
-    """Make and draw it."""
-    files = study.packings(study["particles"], study.points("pressure"))
-    low = PackingAnalysis(mode_sum, {"count": study["count"]})
-    modes = study.results(files, low, prestress=(False,), tag="rebuilt")
-    every = PackingAnalysis(density_of_states, {"moments": study["moments"]})
-    density = study.results(files, every, prestress=(False,), tag="density")
-    on_root(study.comm, _draw, study, modes, density, picture)
+def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+    """Find what the figure shows, and draw it."""
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    low = PackingAnalysis(mode_sum, {"count": parameters["count"]})
+    modes = data.results(files, low, prestress=(False,), tag="rebuilt")
+    every = PackingAnalysis(density_of_states, {"moments": parameters["moments"]})
+    density = data.results(files, every, prestress=(False,), tag="density")
+    on_root(data.comm, _draw, data.page, modes, density, picture)
 
 
-def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, modes: Mapping[str, Any], density: Mapping[str, Any], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 9), layout="constrained")
@@ -49,14 +50,15 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
             share = np.mean([r.counts[:count] / r.modes for r in some], axis=0)
             ratio = np.mean([r.ratios[k, :count] for r in some], axis=0)
             panels[motion].loglog(share, ratio, color=colour(p), lw=1.2, label=f"p = {p:.2g} ({len(some)})")
-        _draw_floppiness(panels["floppiness"], some, colour(p))
+        frequency, floppiness = (np.concatenate([getattr(r, x) for r in some]) for x in ("frequencies", "floppiness"))
+        panels["floppiness"].plot(*binned_medians(frequency, floppiness, 39), color=colour(p), lw=1.2)
     for motion in MOTIONS:
         ylabel = f"median of {LABELS[motion]}, over the direct one"
         panels[motion].set(xlabel="share of all modes", ylabel=ylabel)
         panels[motion].axhline(1, color="0.6", lw=0.8)
     panels["nonaffine"].legend(frameon=False, fontsize=8, loc="lower right")
-    _draw_needed(study, panels["needed"], groups)
-    _draw_density(study, panels["density"], by_pressure(density.values()), colour)
+    _draw_needed(page, panels["needed"], groups)
+    _draw_density(page, panels["density"], by_pressure(density.values()), colour)
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
     panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
     particles = {r.origin.particles for r in modes.values()}
@@ -64,48 +66,30 @@ def _draw(study: Study, modes: Mapping[str, Any], density: Mapping[str, Any], pi
     save(figure, picture)
 
 
-def enough(ratios: Array, counts: Integers) -> float:
-    """Return the least number of modes from which on the ratio stays within ``WITHIN`` of 1; NaN if none."""
-    off = np.flatnonzero(abs(ratios - 1) > WITHIN)
-    first = off[-1] + 1 if len(off) else 0
-    return float(counts[first]) if first < len(counts) else np.nan
-
-
-def _draw_floppiness(axes: Any, some: list[ModeSum], colour: Any) -> None:
-    frequency = np.concatenate([r.frequencies for r in some])
-    floppiness = np.concatenate([r.floppiness for r in some])
-    edges = np.geomspace(frequency.min(), frequency.max() * 1.001, 40)
-    which = np.digitize(frequency, edges)
-    bins = [k for k in range(1, len(edges)) if (which == k).any()]
-    middle = [np.exp(np.log(frequency[which == k]).mean()) for k in bins]
-    axes.plot(middle, [np.median(floppiness[which == k]) for k in bins], color=colour, lw=1.2)
-
-
-def _draw_needed(study: Study, axes: Any, groups: Mapping[float, list[ModeSum]]) -> None:
+def _draw_needed(page: Page, axes: Any, groups: Mapping[float, list[ModeSum]]) -> None:
     """Draw how many modes it takes, and note how that number depends on p."""
     p = np.array(list(groups))
     for k, motion in enumerate(MOTIONS):
         colour, marker = STYLES[motion]
-        needed = [[enough(r.ratios[k], r.counts) for r in some] for some in groups.values()]
+        needed = [[modes_needed(r.ratios[k], r.counts, WITHIN) for r in some] for some in groups.values()]
         known = [m for m, some in enumerate(needed) if np.isfinite(some).all()]
         if not known:
             continue
         samples = [needed[m] for m in known]
         mean, error = means(samples)
         axes.errorbar(p[known], mean, error, fmt=marker, color=colour, label=LABELS[motion])
-        study.exponent(f"modes needed for the median of {motion} motion ~ p^x", p[known], samples, "—")
+        page.exponent(f"modes needed for the median of {motion} motion ~ p^x", p[known], samples, "—")
     axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"modes for a median within {WITHIN:.0%}")
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_density(study: Study, axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
+def _draw_density(page: Page, axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
     """Draw the mean density of states over packings; note its plateau, and the onset ω* of this."""
     found = {p: [plateau(r) for r in some] for p, some in groups.items()}
     known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}
-    study.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")
+    page.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")
     for p, plateaus in found.items():
-        (height,), (error,) = means([[x.height for x in plateaus]])
-        study.findings.append(Finding(f"plateau of D(ω), p = {p:.2g}", height, error, "the same for all p"))
+        page.mean(f"plateau of D(ω), p = {p:.2g}", [x.height for x in plateaus], "the same for all p")
     for p, some in groups.items():
         omega = np.geomspace(1e-3, min(r.edge for r in some) * 0.999, 400)
         axes.loglog(omega, np.mean([r.at(omega).density for r in some], axis=0), color=colour(p), lw=1.2)

@@ -9,33 +9,49 @@ from typing import Any
 
 import numpy as np
 
+from petscjam.analysis.statistics import standard_error
+
 
 def draw_mean(
     axes: Any, some: list[Any], colour: Any, label: str, *, x: float = 1.0, y: float = 1.0, most: float = np.inf
 ) -> None:
-    """Draw the means of G′ (filled) and G″ (open) over packings, and their standard errors, rescaled."""
-    omega = some[0].omega
-    kept = omega <= most
-    values = np.array([g.values for g in some])[:, kept] * y
-    error = np.sqrt(max(len(some) - 1, 1) * len(some))
-    for part, filled in ((values.real, True), (values.imag, False)):
-        mean, deviation = part.mean(0), np.sqrt(((part - part.mean(0)) ** 2).sum(0)) / error
-        axes.loglog(
-            omega[kept] * x,
-            mean,
-            "o-",
-            ms=3,
-            lw=0.8,
-            color=colour,
-            mfc=colour if filled else "white",
-            label=label if filled else "",
-        )
-        low = np.maximum(mean - deviation, 1e-3 * mean)
-        axes.fill_between(omega[kept] * x, low, mean + deviation, color=colour, alpha=0.2, lw=0)
+    """Draw the means of G′ (filled) and G″ (open) over packings, and their standard errors, rescaled.
+
+    Parameters
+    ----------
+    axes, colour
+        Of matplotlib.
+    some : list of ComplexModulus
+        On one grid of frequencies.
+    label : str
+    x, y : float
+        Factors of ω and of G*.
+    most : float
+        The highest frequency that is drawn, 1/τ1.
+    """
+    kept = some[0].omega <= most
+    omega, values = some[0].omega[kept] * x, np.array([g.values for g in some])[:, kept] * y
+    for part, face, text in ((values.real, colour, label), (values.imag, "white", "")):
+        mean, error = part.mean(0), np.nan_to_num(standard_error(part))
+        axes.loglog(omega, mean, "o-", ms=3, lw=0.8, color=colour, mfc=face, label=text)
+        low = np.maximum(mean - error, 1e-3 * mean)
+        axes.fill_between(omega, low, mean + error, color=colour, alpha=0.2, lw=0)
 
 
 def guide(axes: Any, x: tuple[float, float], y: float, slope: float, text: str) -> None:
-    """Draw a straight line that starts at (x[0], y), and say its slope."""
+    """Draw the power law y·(x/x[0])^slope as a straight line, and write ``text`` beside it.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib, both logarithmic.
+    x : (float, float)
+        Ends.
+    y : float
+        Value at x[0].
+    slope : float
+    text : str
+    """
     ends = np.array(x)
     heights = y * (ends / x[0]) ** slope
     axes.loglog(ends, heights, color="0.3", lw=1, ls="--")

@@ -131,10 +131,30 @@ class Analysis(ABC):
 
     @abstractmethod
     def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
-        """Yield each law and its result; ``common`` are prestress, comm, name and progress."""
+        """Yield each law and its result. Collective.
+
+        Parameters
+        ----------
+        packing : Packing
+        laws : sequence
+            Those that are solved for together.
+        **common
+            prestress, comm, name and progress, as for :func:`petscjam.spectrum`.
+        """
 
     def line(self, name: str, result: Any, seconds: float, before: Any) -> str:
-        """Return a line of the log; ``before`` is the result before this one, if there is one."""
+        """Return a line of the log.
+
+        Parameters
+        ----------
+        name : str
+            Of the result.
+        result : object
+        seconds : float
+            What it took.
+        before : object
+            The result before this one of the same job, or None.
+        """
         return f"{name}: {seconds:.1f} s"
 
 
@@ -262,8 +282,8 @@ class ModulusAnalysis(Analysis):
             models = map(member, betas)
         elif strain_mode(self.strain).shears_fluid:
             # the fluid adds to |G*|: the least of it asks most of the model
-            model = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), **common)
-            models = (model.with_fluid(law.fluid) for law in laws)
+            least = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), **common)
+            models = (least.with_fluid(law.fluid) for law in laws)
         else:
             models = (spectrum(packing, span, damping=law, **common) for law in laws)
         for law, model in zip(laws, models, strict=True):
@@ -321,7 +341,6 @@ def analyse(
         If there is one job, or there are several and all are refused.
     """
     agree(comm, ensemble, analysis.settings)
-    made = 0
 
     def plan() -> tuple[list[Job], Made]:
         ensemble.check()
@@ -329,38 +348,57 @@ def analyse(
         there = analysis.there(ensemble) if ensemble.resume and Path(ensemble.output).exists() else set()
         return [job for job in jobs if job.missing(there)], there
 
-    def work(job: Job, team: Team, report: Report | None) -> None:
-        nonlocal made
-        if job.particles >= LARGE and team.comm.rank == 0:
-            memory = f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks"
-            log(f"{job.name}: {job.particles} disks, a factor of about {memory}")
-        start, before = time.perf_counter(), None
-        for law, result in _results(job, analysis, team, report):
-            name = job.groups[law]
-            if name not in job.missing(there):
-                continue
-            on_root(team.comm, store, result, name, team.count > 1)
-            if team.comm.rank == 0:
-                made += 1
-                log(analysis.line(name, result, time.perf_counter() - start, before))
-            start, before = time.perf_counter(), result
-
-    def store(result: Any, name: str, shared: bool) -> None:
-        """Add a result; the first one of a run that does not keep what is there replaces the file."""
-        output = ensemble.output
-        with turn(output) if shared else nullcontext():
-            fresh = not ensemble.resume and run_of(output) != run
-            append_result(result, output, name, run=run, fresh=fresh, made_with=analysis.made_with)
-
     with claimed(ensemble.output, comm):
         jobs, there = on_root(comm, plan)
-        run = comm.bcast(uuid4().hex)
+        work = _Work(ensemble, analysis, there, comm.bcast(uuid4().hex), log)
         size = ensemble.team_size or _team_size(jobs, comm, analysis.out_of_core)
         lost = deal(comm, jobs, work, cost=lambda job: job.particles, size=min(size, comm.size), progress=progress)
     refused = sum(isinstance(error, InputError) for _, error in lost)
     if lost and not there and (len(jobs) == 1 or refused == len(jobs)):  # what was asked for makes no sense
         raise lost[0][1]
-    return comm.allreduce(made), [str(error) for _, error in lost]
+    return comm.allreduce(work.made), [str(error) for _, error in lost]
+
+
+@dataclass
+class _Work:
+    """What a rank does for :func:`analyse`; ``made`` counts the results that it stored."""
+
+    ensemble: Ensemble
+    analysis: Analysis
+    there: Made
+    run: str
+    log: Callable[[str], None]
+    made: int = 0
+
+    def __call__(self, job: Job, team: Team, report: Report | None) -> None:
+        first = team.comm.rank == 0
+        if job.particles >= LARGE and first:
+            memory = f"{factor_memory(3 * job.particles):.0f} MB on {team.comm.size} ranks"
+            self.log(f"{job.name}: {job.particles} disks, a factor of about {memory}")
+        start, before = time.perf_counter(), None
+        for law, result in self._results(job, team, report):
+            name = job.groups[law]
+            if name not in job.missing(self.there):
+                continue
+            on_root(team.comm, self._store, result, name, team.count > 1)
+            if first:
+                self.made += 1
+                self.log(self.analysis.line(name, result, time.perf_counter() - start, before))
+            start, before = time.perf_counter(), result
+
+    def _results(self, job: Job, team: Team, report: Report | None) -> Iterator[tuple[Any, Any]]:
+        """Yield each law and its result; an error names the file of the packing."""
+        packing: Packing = on_root(team.comm, import_packing, job.file)
+        common = {"prestress": job.prestress, "comm": team.comm, "name": job.name, "progress": report}
+        with naming(job.file):
+            yield from self.analysis.results(packing, list(job.groups), **common)
+
+    def _store(self, result: Any, name: str, shared: bool) -> None:
+        """Add a result; the first one of a run that does not keep what is there replaces the file."""
+        output, run = self.ensemble.output, self.run
+        with turn(output) if shared else nullcontext():
+            fresh = not self.ensemble.resume and run_of(output) != run
+            append_result(result, output, name, run=run, fresh=fresh, made_with=self.analysis.made_with)
 
 
 def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
@@ -383,14 +421,6 @@ def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
             for some in together.values():
                 groups = {law: name + f" {law}" * by_law + tag for law in some}
                 yield Job(file, packing.checksum, len(packing), groups, kept)
-
-
-def _results(job: Job, analysis: Analysis, team: Team, report: Report | None) -> Iterator[tuple[Any, Any]]:
-    """Yield each law and its result; an error names the file of the packing."""
-    packing: Packing = on_root(team.comm, import_packing, job.file)
-    common = {"prestress": job.prestress, "comm": team.comm, "name": job.name, "progress": report}
-    with naming(job.file):
-        yield from analysis.results(packing, list(job.groups), **common)
 
 
 def _team_size(jobs: Sequence[Job], comm: Any, out_of_core: bool) -> int:

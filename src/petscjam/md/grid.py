@@ -94,14 +94,12 @@ def run_grid(
     points : sequence of Point
     folder : Path
     work : callable
-        ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` gives the run.
+        ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the run.
     comm : communicator
     resume, overwrite : bool
         What is done about files that exist; an error if neither.
-    progress : callable, optional
-        Called with the fraction done of a rank's own work and a text.
-    log : callable
-        Gets the file and the run of each point that is done, on the rank that did it.
+    progress, log : callable
+        ``log`` gets the file and the run of each point that is done, on the rank that did it.
 
     Returns
     -------
@@ -112,8 +110,7 @@ def run_grid(
     Raises
     ------
     InputError
-        If the folder cannot be made, a file is there already (neither ``resume`` nor ``overwrite``), or none
-        of the points makes sense.
+        If the folder cannot be made, a file exists, or all points are refused.
     """
     agree(comm, points, folder, resume, overwrite)
     files = {point: folder / f"{point.name}.h5" for point in points}

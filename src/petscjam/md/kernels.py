@@ -108,19 +108,20 @@ class Scheme(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _contact(rx, ry, ux, uy, inverse, normal, tangential, exponent, absolute):
+def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute):
     """Return elastic force over distance, damping force on i, and 1 if they touch.
 
-    r and u are position and velocity of j against i, u at the contact point if the law rolls.
+    r and u are position and velocity of j against i, u at the contact point if the law rolls. The exponent is an
+    argument, since numba leaves out the branches of a None only there.
     """
     near = 1.0 / np.sqrt(rx * rx + ry * ry)
     overlap = 1.0 - (rx * rx + ry * ry) * near * inverse
     touch = 1.0 if overlap > 0.0 else 0.0
     overlap *= touch
     spring = overlap if exponent is None else overlap ** (exponent - 1.0)
-    along = (normal - tangential) * (ux * rx + uy * ry) * near * near
-    gx = touch * (tangential * ux + along * rx)
-    gy = touch * (tangential * uy + along * ry)
+    along = (law.normal - law.tangential) * (ux * rx + uy * ry) * near * near
+    gx = touch * (law.tangential * ux + along * rx)
+    gy = touch * (law.tangential * uy + along * ry)
     if absolute is None:
         spring *= inverse
     else:
@@ -159,18 +160,39 @@ def _event(c, q, pairs, now, counts, angles):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _add_pairs(chunk, first, last, q, F, pairs, law, now, measure, measured):
-    """Add the forces of pairs ``first`` to ``last``, in batches: the main loop vectorises over scratch arrays.
+def _events(start, n, touch, touching, q, pairs, now, counts, angles):
+    """Record the pairs of a batch that begin or cease to touch."""
+    changed = 0
+    for c in range(n):
+        changed |= np.uint8(touch[c]) ^ touching[c]
+    if changed:
+        for c in range(n):
+            if touch[c] != touching[c]:
+                _event(start + c, q, pairs, now, counts, angles)
 
-    ``chunk`` is the row of ``measured`` that they belong to; those of the last one have images.
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _move_to_images(first, n, pairs, now, X, Y, U):
+    """Let separations and velocities of a batch be those of the images that are meant."""
+    for c in range(n):
+        row = pairs.ny[first + c]
+        X[c] += (pairs.nx[first + c] + row * now.strain) * pairs.L
+        Y[c] += row * pairs.L
+        U[c] += row * now.rate * pairs.L
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
+    """Add the forces of the pairs of a chunk, or of the rest, in batches.
+
+    The main loop vectorises over scratch arrays: separations and velocities, then forces and torques.
     """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
-    normal, tangential, rolls = law.normal, law.tangential, law.rolls
-    exponent, absolute = law.exponent, law.absolute
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
-    images, L, strain, rate, sums = pairs.chunks[-1], pairs.L, now.strain, now.rate, measured.sums
-    for start in range(first, last, BATCH):
-        n = min(BATCH, last - start)
+    rest, sums, exponent, absolute = len(pairs.chunks) - 1, measured.sums, law.exponent, law.absolute
+    end = len(pairs.i) if chunk == rest else pairs.chunks[chunk + 1]
+    for start in range(pairs.chunks[chunk], end, BATCH):
+        n = min(BATCH, end - start)
         i, j = pairs.i[start : start + n], pairs.j[start : start + n]
         inverse, touching = pairs.inverse[start : start + n], pairs.touching[start : start + n]
         for c in range(n):
@@ -178,36 +200,26 @@ def _add_pairs(chunk, first, last, q, F, pairs, law, now, measure, measured):
             X[c], Y[c] = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
             U[c], V[c] = q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
             W[c] = q[a, 4] + q[b, 4]
-        if start >= images:
-            for c in range(n):
-                row = pairs.ny[start - images + c]
-                X[c] += (pairs.nx[start - images + c] + row * strain) * L
-                Y[c] += row * L
-                U[c] += row * rate * L
+        if chunk == rest:
+            _move_to_images(start - pairs.chunks[rest], n, pairs, now, X, Y, U)
         if measure:
             for c in range(n):
-                x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
+                x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute)
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
-                U[c], V[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx), touch
+                U[c], V[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx), touch
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
                 dxx, dxy, dyx, dyy = dxx - gx * x, dxy - gx * y, dyx - gy * x, dyy - gy * y
                 count, heat = count + touch, heat + gx * ux + gy * uy
-            changed = 0
-            for c in range(n):
-                changed |= np.uint8(V[c]) ^ touching[c]
-            if changed:
-                for c in range(n):
-                    if V[c] != touching[c]:
-                        _event(start + c, q, pairs, now, measured.counts[chunk], measured.angles[chunk])
+            _events(start, n, V, touching, q, pairs, now, measured.counts[chunk], measured.angles[chunk])
         else:
             for c in range(n):
-                x, y, turn = X[c], Y[c], rolls * W[c] * inverse[c]
+                x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], normal, tangential, exponent, absolute)
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
-                U[c] = 2.0 * rolls * inverse[c] * (x * gy - y * gx)
+                U[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx)
         for c in range(n):
             a, b = i[c], j[c]
             fx, fy, torque = X[c], Y[c], U[c]
@@ -328,8 +340,7 @@ def jump(q, m, L, old, new, bulk):
 @njit(cache=True, error_model="numpy")
 def _force(chunk, q, disks, pairs, law, now, measure, measured):
     """Add the forces inside a chunk."""
-    first, last = pairs.chunks[chunk], pairs.chunks[chunk + 1]
-    _add_pairs(chunk, first, last, q, disks.F, pairs, law, now, measure, measured)
+    _add_pairs(chunk, q, disks.F, pairs, law, now, measure, measured)
     if law.body != 0.0 or law.spin_drag != 0.0:
         _drag(chunk, q, disks.F, disks.R, law, now.rate, measured.sums)
 
@@ -377,8 +388,7 @@ def forces(q, disks, pairs, law, now, threads, measure, measured):
         _force_chunks_threaded(q, disks, pairs, law, now, measure, measured)
     else:
         _force_chunks(q, disks, pairs, law, now, measure, measured)
-    rest = len(pairs.chunks) - 1
-    _add_pairs(rest, pairs.chunks[rest], len(pairs.i), q, disks.F, pairs, law, now, measure, measured)
+    _add_pairs(len(pairs.chunks) - 1, q, disks.F, pairs, law, now, measure, measured)
 
 
 @njit(cache=True, error_model="numpy")

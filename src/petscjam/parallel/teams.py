@@ -34,13 +34,27 @@ class Team:
     count: int
 
     def deal(self, tasks: Iterable[T], cost: Callable[[T], float]) -> list[T]:
-        """Return the tasks of this team, the most costly first; every rank must give the same tasks."""
+        """Return the tasks of this team, the most costly first.
+
+        Parameters
+        ----------
+        tasks : iterable
+            The same on every rank.
+        cost : callable
+            Of a task.
+        """
         return sorted(tasks, key=cost, reverse=True)[self.index :: self.count]
 
 
 @contextmanager
 def teams(comm: Comm, size: int = 1) -> Iterator[Team]:
-    """Split ``comm`` into teams of ``size`` ranks; the last may be smaller.
+    """Split the ranks into teams; the last may be smaller.
+
+    Parameters
+    ----------
+    comm : communicator
+    size : int
+        Ranks of a team.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.analysis.drag import NonlinearModulus
-from petscjam.plots.figure import UNSTABLE
+from petscjam.plots.figure import UNSTABLE, given
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,8 +45,7 @@ def drag_figure(results: Mapping[str, NonlinearModulus]) -> Figure:
     panels[2].set_title(r"friction time $\tau/\tau_1$; band: spread of $\ln\tau_c$")
     first = next(iter(results.values()))
     figure.suptitle(
-        f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}; {first.strain}; "
-        f"{'with' if first.prestress else 'without'} pre-stress",
+        f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}; {first.strain}; {given(first.prestress)}",
         fontsize=10,
     )
     return figure
@@ -78,12 +77,5 @@ def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
         guide = above * abs(g.values.imag[at]) * (span / span[0]) ** slope
         axes.loglog(span, guide, STYLE[g.form], color="0.5", lw=1)
         end, shift, side = (1, (-4, 0), "right") if above > 1 else (0, (6, -10), "left")
-        axes.annotate(
-            f"slope ${text}$",
-            (span[end], guide[end]),
-            color="0.4",
-            fontsize=8,
-            xytext=shift,
-            textcoords="offset points",
-            ha=side,
-        )
+        style = {"color": "0.4", "fontsize": 8, "textcoords": "offset points", "ha": side}
+        axes.annotate(f"slope ${text}$", (span[end], guide[end]), shift, **style)

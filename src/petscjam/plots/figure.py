@@ -12,17 +12,28 @@ import numpy as np
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import write_atomically
+from petscjam.base.types import Array
+from petscjam.geometry.box import Box
 
 if TYPE_CHECKING:
+    from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure
 
 STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
 
 def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] | None = None, dpi: float = 150) -> None:
-    """Write ``figure`` in the format its name ends in (PNG without one), wholly or not at all.
+    """Write ``figure`` wholly or not at all.
 
-    Below it stands how many of ``results`` are of packings that are not in balance.
+    Parameters
+    ----------
+    figure : Figure
+    path : path
+        Its ending tells the format; PNG without one.
+    results : dict, optional
+        Below the figure stands how many of them are of packings that are not in balance.
+    dpi : float
+        Pixels an inch.
 
     Raises
     ------
@@ -64,3 +75,52 @@ def pressure_colours(pressures: Sequence[float]) -> Callable[[float], Any]:
 
     low, high = np.log(min(pressures)), np.log(max(pressures))
     return lambda p: colormaps["viridis"](0.9 * (np.log(p) - low) / (high - low) if high > low else 0.4)
+
+
+def arrows(axes: Any, x: Array, u: Array, **style: Any) -> None:
+    """Draw arrows in units of the axes.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    x, u : (n, 2)
+        Where they start, and how far they reach.
+    **style
+        As for ``quiver``.
+    """
+    axes.quiver(*x.T, *u.T, angles="xy", scale_units="xy", scale=1, **style)
+
+
+def draw_cell(axes: Any, box: Box, part: float = 1.0) -> None:
+    """Draw the edges of the cell, or of its middle.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    box : Box
+    part : float
+        Length of the edges, over that of the cell.
+    """
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) - 0.5
+    axes.plot(*(box.cell.sum(0) / 2 + part * corners @ box.cell).T, color="0.6", lw=0.8)
+
+
+def disks(axes: Any, centres: Array, radii: Array, **style: Any) -> EllipseCollection:
+    """Return disks in units of the axes, not added to them.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    centres, radii : (n, 2), (n,)
+    **style
+        As for a collection of matplotlib.
+    """
+    from matplotlib.collections import EllipseCollection
+
+    width, upright = 2 * radii, np.zeros(len(radii))
+    return EllipseCollection(
+        width, width, upright, units="xy", offsets=centres, offset_transform=axes.transData, **style
+    )

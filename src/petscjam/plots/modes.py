@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petscjam.plots.figure import STORAGE, UNSTABLE
+from petscjam.plots.figure import STORAGE, UNSTABLE, arrows, draw_cell, given
 from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 
@@ -32,8 +32,7 @@ def modes_figure(results: Mapping[str, Modes]) -> Figure:
         for k in range(min(DRAWN, len(first.eigenvalues)))
     ]
     _draw_vectors(left, first, titles)
-    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}"
-    title += f"; {'with' if first.prestress else 'without'} pre-stress"
+    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}; {given(first.prestress)}"
     left.suptitle(f"{name}: {title}" if len(results) > 1 else title, fontsize=10)
     panels = right.subplots(3, 1)
     _draw_spectra(panels, results)
@@ -64,14 +63,13 @@ def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]
     packing, panels = m.geometry, figure.subplots(2, DRAWN // 2)
     x = packing.box.wrap(packing.positions)[m.disks]
     spacing = np.sqrt(packing.box.area / len(packing))
-    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
     for axes in panels.flat:
         axes.set_axis_off()
     for v, title, axes in zip(m.vectors, titles, panels.flat, strict=False):
         length = np.hypot(*v.T)
-        arrows = v * spacing * min(1.6 / np.sqrt(np.mean(length**2)), 5 / length.max())
-        axes.quiver(*x.T, *arrows.T, angles="xy", scale_units="xy", scale=1, width=0.0035, color=STORAGE)
-        axes.plot(*outline.T, color="0.6", lw=0.8)
+        u = v * spacing * min(1.6 / np.sqrt(np.mean(length**2)), 5 / length.max())
+        arrows(axes, x, u, width=0.0035, color=STORAGE)
+        draw_cell(axes, packing.box)
         axes.set_aspect("equal")
         axes.set_title(title, fontsize=9)
 

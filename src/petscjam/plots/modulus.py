@@ -9,7 +9,7 @@ import numpy as np
 
 from petscjam.analysis.statistics import alike, average
 from petscjam.base.errors import SolverError
-from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE
+from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, arrows, draw_cell, given
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
@@ -50,39 +50,15 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
         rising = np.argsort(g.omega)
         omega, G = g.omega[rising], g.values[rising]
         for values, colour, marker in ((G.real, STORAGE, "o"), (G.imag, LOSS, "s")):
-            line = axes.loglog(
-                omega,
-                np.where(values > 0, values, np.nan),
-                color=colour,
-                lw=1,
-                alpha=1 if one else 0.35,
-                ls="-" if g.stable else ":",
-            )[0]
+            positive, style = np.where(values > 0, values, np.nan), "-" if g.stable else ":"
+            (line,) = axes.loglog(omega, positive, style, color=colour, lw=1, alpha=1 if one else 0.35)
             if one:
                 line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
             axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
     _draw_means(axes, results)
     first = next(iter(results.values()))
-    low, high = first.omega.min(), first.omega.max()
     if one:
-        ends = (
-            (first.G0, 0, low, STORAGE, r"$G_0$"),
-            (first.eta0, 1, low, LOSS, r"$\eta_0\omega$"),
-            (first.G_inf, 0, high, STORAGE, r"$G_\infty$"),
-            (first.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$"),
-        )
-        for limit, slope, end, colour, text in ends:
-            if limit > 0:
-                span = np.array([end, end * (1e3 if end == low else 1e-2)])
-                axes.loglog(span, limit * span**slope, "--", color=colour, lw=0.9, zorder=0)
-                axes.annotate(
-                    text,
-                    (span[0], limit * span[0] ** slope),
-                    color=colour,
-                    xytext=(12, -3) if text == ends[1][4] else (0, 7),
-                    textcoords="offset points",
-                    ha="left" if end == low else "right",
-                )
+        _draw_limits(axes, first)
     _guides(axes, first)
     bad = [g for g in results.values() if not g.stable]
     axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=r"$G',\;G''$  (units of $k$)")
@@ -98,12 +74,28 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
     laws = {g.damping for g in results.values()}
     title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
     if len({g.prestress for g in results.values()}) == 1:
-        title += f"; {'with' if first.prestress else 'without'} pre-stress"
+        title += f"; {given(first.prestress)}"
     title += f"; {first.strain}"
     axes.set_title(title, fontsize=10)
     if bad:
         text = bad[0].state if one else f"{len(bad)} of {count} packings not stable"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
+
+
+def _draw_limits(axes: Any, g: ComplexModulus) -> None:
+    """Draw the limits of G′ and G″ at ω → 0 and ω → ∞."""
+    low, high = g.omega.min(), g.omega.max()
+    for limit, slope, end, colour, text, shift in (
+        (g.G0, 0, low, STORAGE, r"$G_0$", (0, 7)),
+        (g.eta0, 1, low, LOSS, r"$\eta_0\omega$", (12, -3)),
+        (g.G_inf, 0, high, STORAGE, r"$G_\infty$", (0, 7)),
+        (g.eta_inf, 1, high, LOSS, r"$\eta_\infty\omega$", (0, 7)),
+    ):
+        if limit > 0:
+            span = np.array([end, end * (1e3 if end == low else 1e-2)])
+            values, side = limit * span**slope, "left" if end == low else "right"
+            axes.loglog(span, values, "--", color=colour, lw=0.9, zorder=0)
+            axes.annotate(text, (span[0], values[0]), shift, color=colour, textcoords="offset points", ha=side)
 
 
 def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
@@ -128,15 +120,8 @@ def _draw_errors(axes: Any, model: Spectrum) -> None:
     axes.loglog(omega, loss, color=LOSS, lw=0.8, label="$G''$")
     axes.loglog(omega, model.error(omega), color="0.2", lw=1.2, label="$|G^*|$")
     axes.axhline(model.rtol, color="0.5", ls="--", lw=0.8)
-    axes.plot(
-        model.nodes,
-        np.full(len(model.nodes), 0.03),
-        "|",
-        color="0.2",
-        ms=9,
-        clip_on=False,
-        transform=axes.get_xaxis_transform(),
-    )
+    bottom, place = np.full(len(model.nodes), 0.03), axes.get_xaxis_transform()
+    axes.plot(model.nodes, bottom, "|", color="0.2", ms=9, clip_on=False, transform=place)
     what = "bound" if model.definite else "estimate"
     axes.set(xlabel=r"$\omega\tau_1$", ylabel=f"{what} on relative error")
     axes.set_title(f"{model.factorisations} factorisations (ticks)", fontsize=9)
@@ -168,20 +153,21 @@ def _guides(axes: Any, g: ComplexModulus) -> None:
         if inside and len(g.omega) > 2:
             guide = 0.35 * np.exp(height) * (span / span[0]) ** slope
             axes.loglog(span, guide, color="0.4", lw=1)
-            axes.annotate(
-                "slope 1" if slope == 1 else "slope ½",
-                (span[1], guide[1]),
-                color="0.4",
-                xytext=(4, -8),
-                textcoords="offset points",
-                fontsize=9,
-            )
+            text, end = "slope 1" if slope == 1 else "slope ½", (span[1], guide[1])
+            axes.annotate(text, end, (4, -8), color="0.4", textcoords="offset points", fontsize=9)
 
 
 def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
     """Draw Im Q* (zero stress) above Re Q* (peak stress), Q* = (δσ/G*)(q, 1); each panel on its own scale.
 
-    Of a packing of more than ``most`` disks, the middle.
+    Parameters
+    ----------
+    figure
+        Of matplotlib.
+    g : ComplexModulus
+        With fields.
+    most : int
+        Disks; of a packing of more, its middle is drawn.
     """
     panels = figure.subplots(2, len(g.field_omega), squeeze=False)
     packing = g.geometry
@@ -190,28 +176,17 @@ def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
     centre = packing.box.cell.sum(0) / 2
     affine = (x - centre) @ strain_mode(g.strain).gradient.T
     spacing = np.sqrt(packing.box.area / len(packing))
-    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ packing.box.cell
     half = np.sqrt(most / len(packing)) / 2
     shown = (abs(packing.box.fractional(x) - 0.5) < half).all(1)
-    if not shown.all():
-        outline = (outline - centre) * 2 * half + centre
     for w, omega in enumerate(g.field_omega):
         total = (g.fields[w] + affine) / g.values[np.argmin(np.abs(g.omega - omega))]
         for row, (motion, name) in enumerate(((total.imag, "zero stress"), (total.real, "peak stress"))):
             axes = panels[row, w]
             motion = motion - np.nanmean(motion, axis=0)
             size = np.sqrt(np.nanmean((motion**2).sum(1)))
-            arrows = motion[shown] * 1.6 * spacing / size
-            axes.quiver(
-                *x[shown].T,
-                *arrows.T,
-                angles="xy",
-                scale_units="xy",
-                scale=1,
-                width=0.0035,
-                color=STORAGE if row else LOSS,
-            )
-            axes.plot(*outline.T, color="0.6", lw=0.8)
+            u = motion[shown] * 1.6 * spacing / size
+            arrows(axes, x[shown], u, width=0.0035, color=STORAGE if row else LOSS)
+            draw_cell(axes, packing.box, 1.0 if shown.all() else 2 * float(half))
             axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)
             axes.set(aspect="equal", xticks=[], yticks=[])
             axes.set_frame_on(False)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
-from petscjam.analysis.statistics import by_pressure, means
-from petscjam.plots.figure import LOSS, STORAGE, given, pressure_colours, solids
+from petscjam.analysis.statistics import by_pressure, grouped, means, nominal
+from petscjam.plots.figure import LOSS, STORAGE, arrows, draw_cell, given, pressure_colours, solids
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,15 +46,26 @@ def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
 
 
 def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
-    """Draw the probability density of the logarithm, so that tails of any width show."""
-    for prestress, style in ((False, "--"), (True, "-")):
-        for pressure, some in by_pressure(results, prestress=prestress).items():
-            sizes = np.concatenate([r.sizes(motion) for r in some])
-            if not sizes.any():
-                continue
-            density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
-            middle, label = (edges[1:] + edges[:-1]) / 2, f"p = {pressure:.2g}"
-            axes.semilogx(10**middle, density, style, color=colours(pressure), lw=1.2, label=label)
+    """Draw the probability density of the logarithm of a motion, one line for each pressure.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    results : list of QuasistaticResponse
+    motion : str
+        One of :data:`petscjam.analysis.nonaffine.MOTIONS`.
+    colours : callable
+        Returns the colour of a pressure.
+    """
+    groups = grouped(results, lambda r: (nominal(r.origin.pressure), r.prestress))
+    for (pressure, prestress), some in groups.items():
+        sizes = np.concatenate([r.sizes(motion) for r in some])
+        if not sizes.any():
+            continue
+        density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
+        middle, style = (edges[1:] + edges[:-1]) / 2, "-" if prestress else "--"
+        axes.semilogx(10**middle, density, style, color=colours(pressure), lw=1.2, label=f"p = {pressure:.2g}")
     axes.set(xlabel=LABELS[motion], ylabel=r"density of $\log_{10}$")
     if len(handles := dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))) <= 8:
         axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
@@ -78,22 +89,20 @@ def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
 
 
 def draw_field(axes: Any, r: QuasistaticResponse) -> None:
-    """Draw u_na as arrows, the root mean square as long as 1.6 spacings of disks."""
+    """Draw u_na as arrows, the root mean square as long as 1.6 spacings of disks.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    r : QuasistaticResponse
+    """
     box = r.geometry.box
     x = box.wrap(r.geometry.positions)[r.disks]
     spacing = np.sqrt(box.area / len(r.geometry))
     size = np.sqrt((r.nonaffine**2).sum(1).mean()) or 1.0
-    axes.quiver(
-        *x.T,
-        *(r.nonaffine * 1.6 * spacing / size).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        width=0.0035,
-        color=STORAGE,
-    )
-    outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ box.cell
-    axes.plot(*outline.T, color="0.6", lw=0.8)
+    arrows(axes, x, r.nonaffine * 1.6 * spacing / size, width=0.0035, color=STORAGE)
+    draw_cell(axes, box)
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
     axes.set_title(f"non-affine motion, p = {r.origin.pressure:.2g}, {given(r.prestress)}", fontsize=9)

@@ -14,7 +14,7 @@ import numpy as np
 from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, save
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, disks, save
 
 SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
 RATTLER, CAGED = "#7a5c00", "#fbeeb8"
@@ -31,6 +31,12 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
     across an edge appears at the opposite one, too. Rattlers are yellow and dashed. With ``history`` in the
     provenance — equally long lists ``evaluations`` (of the forces, so far), ``pressure``, ``force`` (the
     largest on a disk) and ``phi`` — pressure, force and packing fraction are drawn beside it.
+
+    Parameters
+    ----------
+    packing : Packing
+    path : path
+        Of the figure; its ending tells the format.
 
     Raises
     ------
@@ -55,8 +61,16 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
 
 
 def draw_packing(axes: Any, packing: Packing, size: float) -> None:
-    """Draw it on ``axes`` about ``size`` inches wide."""
-    from matplotlib.collections import EllipseCollection, LineCollection
+    """Draw a packing.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    packing : Packing
+    size : float
+        Width of the axes, inches.
+    """
     from matplotlib.colors import to_rgba_array
     from matplotlib.patches import Polygon
 
@@ -82,37 +96,39 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     thin = min(0.8, 0.04 * pixels)
     for rattlers in (False, True):
         some = network.backbone[disk] != rattlers
-        width = 2 * radii[disk[some]]
-        draw(
-            EllipseCollection(
-                width,
-                width,
-                np.zeros(len(width)),
-                units="xy",
-                offsets=centre[some],
-                offset_transform=axes.transData,
-                facecolors=face[disk[some]],
-                edgecolors="none" if many else RATTLER if rattlers else RIM,
-                linewidths=0 if many else thin * (1.4 if rattlers else 1),
-                linestyles=(0, (3, 2)) if rattlers else "solid",
-                zorder=1 + rattlers,
-            )
-        )
+        edge, wide = (RATTLER, 1.4 * thin) if rattlers else (RIM, thin)
+        style = {
+            "facecolors": face[disk[some]],
+            "edgecolors": "none" if many else edge,
+            "linewidths": 0 if many else wide,
+            "linestyles": (0, (3, 2)) if rattlers else "solid",
+            "zorder": 1 + rattlers,
+        }
+        draw(disks(axes, centre[some], radii[disk[some]], **style))
     if len(network):
-        start = packing.positions[network.i]
-        contact, middle = box.images(start + network.r / 2, 1.5 * radii.max())  # lines are wide
-        half = network.r[contact] / 2
-        strength = network.force / max(network.force.mean(), np.finfo(float).tiny)
-        ends: Any = np.stack([middle - half, middle + half], axis=1)
-        draw(
-            LineCollection(
-                ends, colors=FORCE, capstyle="round", linewidths=FORCE_WIDTH * pixels * strength[contact], zorder=3
-            )
-        )
+        draw(_forces(packing, network, pixels))
     margin = 0.01 * extent
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
+    _caption(axes, packing, network, size + 4)
+
+
+def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
+    """Return lines from centre to centre, as wide as the contact force; a disk is ``pixels`` points wide."""
+    from matplotlib.collections import LineCollection
+
+    middle = packing.positions[network.i] + network.r / 2
+    contact, middle = packing.box.images(middle, 1.5 * packing.radii.max())  # lines are wide
+    half = network.r[contact] / 2
+    strength = network.force / max(network.force.mean(), np.finfo(float).tiny)
+    ends: Any = np.stack([middle - half, middle + half], axis=1)
+    widths = FORCE_WIDTH * pixels * strength[contact]
+    return LineCollection(ends, colors=FORCE, capstyle="round", linewidths=widths, zorder=3)
+
+
+def _caption(axes: Any, packing: Packing, network: ContactNetwork, fontsize: float) -> None:
+    """Write what the packing is, and whether it is a proved minimum."""
     verdict, colour = VERDICTS[packing.certificate.proved]
     if not network.balanced:
         verdict, colour = f"not in balance: net forces reach {network.net_force:.2g} p·d", UNSTABLE
@@ -120,19 +136,11 @@ def draw_packing(axes: Any, packing: Packing, size: float) -> None:
     axes.set_title(
         f"{len(packing)} disks, $\\phi$ = {packing.phi:.5f}, p = {network.pressure:.3g}, "
         f"Z = {network.Z:.3f}, {count} rattler{'' if count == 1 else 's'}",
-        fontsize=size + 4,
-        pad=2 * (size + 4),
+        fontsize=fontsize,
+        pad=2 * fontsize,
     )
-    axes.annotate(
-        verdict,
-        (0.5, 1),
-        (0, 5),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        ha="center",
-        color=colour,
-        fontsize=size + 4,
-    )
+    place = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "center"}
+    axes.annotate(verdict, (0.5, 1), (0, 5), color=colour, fontsize=fontsize, **place)
 
 
 def _history(packing: Packing) -> dict[str, Array] | None:
@@ -165,16 +173,8 @@ def _draw_history(figure: Any, history: Mapping[str, Array], target: float | Non
         axes.spines[["top", "right"]].set_visible(False)
     if target is not None:
         panels[0].axhline(target, color="0.3", lw=0.9, ls="--", zorder=0)
-        panels[0].annotate(
-            f"target {target:.3g}",
-            (1, target),
-            (0, 4),
-            ha="right",
-            color="0.3",
-            fontsize=9,
-            xycoords=("axes fraction", "data"),
-            textcoords="offset points",
-        )
+        place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+        panels[0].annotate(f"target {target:.3g}", (1, target), (0, 4), color="0.3", fontsize=9, **place)
     panels[0].set_title("Preparation", fontsize=10)
     panels[2].set_xlabel("force evaluations")
     panels[2].ticklabel_format(axis="y", useOffset=False)

@@ -15,7 +15,7 @@ from petscjam.geometry.box import Box
 from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
-from petscjam.plots.figure import LOSS, STABLE, STORAGE, save
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, disks, save
 from petscjam.plots.packing import OUTLINED
 
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
@@ -264,21 +264,9 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
 
 
 def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any, centre: Array) -> Any:
-    from matplotlib.collections import EllipseCollection
-
-    many, width = len(state) > OUTLINED, 2 * state.radii[disk]
-    drawn = EllipseCollection(
-        width,
-        width,
-        np.zeros(len(width)),
-        units="xy",
-        offsets=centre,
-        offset_transform=axes.transData,
-        array=values[disk],
-        cmap=colours,
-        linewidths=0,
-        edgecolors="none",
-    )
+    many = len(state) > OUTLINED
+    style = {"array": values[disk], "cmap": colours, "linewidths": 0, "edgecolors": "none"}
+    drawn = disks(axes, centre, state.radii[disk], **style)
     known = values[np.isfinite(values)]
     if len(known):
         drawn.set_clim(*np.quantile(known, [0.01, 0.99]))

@@ -146,7 +146,7 @@ def prepare_library(
 ) -> Library:
     """Prepare a packing of every size, pressure and seed in ``folder``, and return what it then holds.
 
-    Each is made by one rank, and does not depend on how many there are. One that fails does not stop the
+    Each is made by one rank, and does not depend on how many ranks there are. One that fails does not stop the
     others; it is among ``failed`` of the library, and tried again on ``resume``.
 
     Parameters
@@ -215,7 +215,14 @@ def _fill(
 
 
 def threads_for(sizes: Sequence[int], comm: Comm) -> int:
-    """Return the threads of each rank for tasks of these sizes: its cores, if they are large and few."""
+    """Return the threads of each rank: its cores, if the tasks are large and few, else 1.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Disks of each task.
+    comm : communicator
+    """
     large = len(sizes) <= comm.size and max(sizes, default=0) >= WORTH_THREADS
     return cores_each(comm) if large else 1
 
@@ -236,6 +243,15 @@ def read_library(folder: str | PathLike[str]) -> Library:
 
 def exists(file: Path, n: int, pressure: float, seed: int, recipe: Recipe, before: Sequence[float] = ()) -> bool:
     """Tell whether the packing is there.
+
+    Parameters
+    ----------
+    file : Path
+    n, pressure, seed
+        As for :func:`prepare_packing`.
+    recipe : Recipe
+    before : sequence of float
+        Pressures of the packings that it is decompressed from.
 
     Raises
     ------
@@ -270,11 +286,8 @@ def _planned(
             check(s.n, pressure, s.seed, budget=budget, **recipe.start)
         for pressure, name in s.names():
             if name in names:
-                raise InputError(
-                    f"prepare: (particles, pressure, seed) = {shown(names[name])} and "
-                    f"{shown((s.n, pressure, s.seed))} "
-                    f"are the same packing, {name}"
-                )
+                both = f"{shown(names[name])} and {shown((s.n, pressure, s.seed))}"
+                raise InputError(f"prepare: (particles, pressure, seed) = {both} are the same packing, {name}")
             names[name] = s.n, pressure, s.seed
     if not names:
         raise InputError("prepare: there is nothing to prepare without a size, a pressure and a seed")
@@ -296,23 +309,16 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
             with suppress(OSError):
                 file.unlink()
     if not library.recipe:
-        text = json.dumps(
-            {
-                "schema": SCHEMA,
-                "units": "stiffness k = 1, mean diameter d = 1",
-                "recipe": asdict(recipe),
-                "checksum": _checksum(asdict(recipe)),
-            },
-            indent=2,
-        )
-        write_atomically(folder / RECIPE, f"{text}\n".encode())
+        content = {"schema": SCHEMA, "units": "stiffness k = 1, mean diameter d = 1"}
+        content |= {"recipe": asdict(recipe), "checksum": _checksum(asdict(recipe))}
+        write_atomically(folder / RECIPE, f"{json.dumps(content, indent=2)}\n".encode())
     lines = [dict(zip(COLUMNS, COLUMNS, strict=True)), *library.rows, *library.failed]
     write_atomically(folder / INDEX, "".join(map(_line, lines)).encode(errors="surrogateescape"))
     return missing
 
 
 def _make(folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress: Report | None, **options: Any) -> None:
-    """Make what is missing of a series. The one before is read from its file, made now or long ago."""
+    """Make what is missing of a series; the packing before, to decompress, is read from its file."""
     before: list[float] = []
     last: Path | None = None
     failure = ""
@@ -339,13 +345,8 @@ def _make(folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress:
             except Exception as error:
                 ours = isinstance(error, InputError | SolverError)
                 reason = str(error) if ours else f"{type(error).__name__}: {error}"
-                row = {
-                    "file": name,
-                    "particles": s.n,
-                    "target": pressure,
-                    "seed": s.seed,
-                    "failure": " ".join(reason.split()),
-                }
+                row = {"file": name, "particles": s.n, "target": pressure, "seed": s.seed}
+                row["failure"] = " ".join(reason.split())
                 failure = f"{name}, to start from, failed"
             else:
                 if recipe.decompress:

@@ -1,0 +1,142 @@
+"""The page of a figure: numbers of the paper, as found here, and which packings they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from petscjam.analysis.scaling import Collapse, PowerFit, power_law
+from petscjam.analysis.statistics import means
+from petscjam.base.errors import InputError, SolverError
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number of the paper, as found here: its standard error, and what the paper says."""
+
+    name: str
+    value: float
+    error: float
+    paper: str
+    remark: str = ""
+
+
+@dataclass
+class Page:
+    """What a figure found.
+
+    Attributes
+    ----------
+    findings : list of Finding
+    tallies : list of str
+        How many packings there were of each kind, and how many were left out.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    tallies: list[str] = field(default_factory=list)
+
+    def mean(self, name: str, samples: ArrayLike, paper: str, remark: str = "") -> None:
+        """Note the mean of (k,) ``samples`` and its standard error.
+
+        Parameters
+        ----------
+        name, paper, remark : str
+            As in :class:`Finding`.
+        samples : (k,)
+        """
+        (value,), (error,) = means([samples])
+        self.findings.append(Finding(name, float(value), float(error), paper, remark))
+
+    def exponent(
+        self,
+        name: str,
+        x: ArrayLike,
+        samples: Sequence[ArrayLike],
+        paper: str,
+        window: tuple[float, float] | None = None,
+        *,
+        estimator: str = "mean",
+    ) -> PowerFit | None:
+        """Fit a power law and note its exponent.
+
+        Parameters
+        ----------
+        name, paper : str
+            As in :class:`Finding`.
+        x : (m,)
+        samples : m array_likes
+            The values of the packings at each x. An x with a single packing does not count.
+        window : (float, float), optional
+            Fit x between these.
+        estimator : str
+            ``mean`` or ``median`` over packings.
+
+        Returns
+        -------
+        PowerFit or None
+            None where no power law can be fitted: then a remark says why.
+        """
+        several = [m for m, some in enumerate(samples) if len(np.atleast_1d(some)) > 1]
+        try:
+            fit = power_law(np.asarray(x)[several], [samples[m] for m in several], window, estimator=estimator)
+        except InputError as error:
+            self.findings.append(Finding(name, np.nan, np.nan, paper, str(error)))
+            return None
+        low, high = fit.window
+        quality = "" if np.isnan(fit.chi2) else f", χ² = {fit.chi2:.1f}"
+        self.findings.append(Finding(name, fit.exponent, fit.error, paper, f"x from {low:.3g} to {high:.3g}{quality}"))
+        return fit
+
+    def collapse(self, name: str, find: Callable[[], Collapse], paper: Mapping[str, str]) -> Collapse | None:
+        """Note the exponents of a collapse.
+
+        Parameters
+        ----------
+        name : str
+        find : callable
+            Calls :func:`petscjam.analysis.scaling.collapse`.
+        paper : dict
+            What the paper says of each exponent.
+
+        Returns
+        -------
+        Collapse or None
+            None where nothing collapses: then a remark says why.
+        """
+        try:
+            found = find()
+        except (InputError, SolverError) as error:
+            self.findings.append(Finding(name, np.nan, np.nan, ", ".join(paper.values()), str(error)))
+            return None
+        for key, value in found.exponents.items():
+            remark = f"quality S = {found.quality:.1f}"
+            self.findings.append(Finding(f"{name}: {key}", value, found.errors[key], paper[key], remark))
+        return found
+
+    def text(self, command: str, parameters: Mapping[str, Any]) -> str:
+        """Return the page as Markdown.
+
+        Parameters
+        ----------
+        command : str
+            What the figure was made by.
+        parameters : dict
+            Of the preset.
+        """
+        lines = [f"Made by `{command}`.", ""]
+        if self.findings:
+            lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
+            for f in self.findings:
+                value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
+                value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
+                lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
+            how = "of exponents and collapses by bootstrap, of lengths by jackknife, of local slopes and means"
+            lines += ["", f"± is the standard error over packings: {how} from their scatter.", ""]
+        lines += [f"- {tally}" for tally in self.tallies]
+        lines += ["", "| parameter | |", "|---|---|"]
+        lines += [f"| {key} | {value} |" for key, value in parameters.items()]
+        return "\n".join([*lines, ""])
