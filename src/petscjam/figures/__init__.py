@@ -147,7 +147,7 @@ def make_figure(
             inputs = [request.file] if request.file else []
             on_root(comm, check_output, target, overwrite=request.overwrite or request.resume, inputs=inputs)
         data = FigureData(parameters, folder, comm, request.overwrite, request.existing, progress, log)
-        import_module(f"petscjam.figures.{name}").draw(data, parameters, picture)
+        import_module(f"petscjam.figures.{name}").draw(data)
         text = data.page.text(request.command, parameters.values)
         on_root(comm, write_atomically, page, text.encode())
         return list(comm.bcast(data.page.findings))

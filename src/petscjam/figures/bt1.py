@@ -12,7 +12,6 @@ from petscjam.analysis.scaling import log_slope
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import STORAGE, save
@@ -21,12 +20,13 @@ from petscjam.plots.packing import draw_packing
 from petscjam.rows.damping import ContactDamping
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis = ModulusAnalysis(parameters.points("omega"), fields_at=parameters.points("fields"))
     results = data.results(files, analysis, [ContactDamping()])
-    on_root(data.comm, _draw, data.page, data.stable(results, "G*"), picture)
+    on_root(data.comm, _draw, data.page, data.stable(results, "G*"), data.picture)
 
 
 def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:

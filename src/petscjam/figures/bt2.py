@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from petscjam.figures.data import FigureData
-from petscjam.figures.parameters import Parameters
 from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
 from petscjam.parallel.comm import on_root
@@ -24,13 +23,14 @@ from petscjam.rows.kinematics import SIMPLE_SHEAR, contact_rows
 MOST_NEIGHBOURS = 6
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     packing = on_root(data.comm, import_packing, files[0])
     problem = LinearProblem(packing, ContactDamping(), [SIMPLE_SHEAR], False, data.comm)
     (q, _), _ = relax_dissipation(problem, (quasistatic(problem)[0][0], np.ones(1)))
-    on_root(data.comm, _draw, packing, problem, q.real, picture)
+    on_root(data.comm, _draw, packing, problem, q.real, data.picture)
 
 
 def _draw(packing: Packing, problem: LinearProblem, q: Any, picture: Path) -> None:

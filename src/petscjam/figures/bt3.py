@@ -16,7 +16,6 @@ from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Finding, Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -26,11 +25,12 @@ from petscjam.rows.damping import ContactDamping, DampingLaw
 AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     results = data.results(files, ModulusAnalysis(parameters.points("omega")), [ContactDamping()], (True, False))
-    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), ContactDamping(), picture)
+    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), ContactDamping(), data.picture)
 
 
 def draw_collapse(

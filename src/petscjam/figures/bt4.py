@@ -13,7 +13,6 @@ from petscjam.analysis.viscosity import viscosity
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -23,8 +22,9 @@ from petscjam.rows.damping import ContactDamping
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     omega, betas = parameters.points("omega"), list(map(ContactDamping, parameters.points("betas").tolist()))
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     both, G = (True, False), ModulusAnalysis(omega)
@@ -43,7 +43,7 @@ def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
             "weak": data.stable(weak, "varying β"),
             "eta0": data.stable(eta0, "η0"),
         },
-        picture,
+        data.picture,
     )
 
 

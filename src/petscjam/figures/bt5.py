@@ -12,7 +12,6 @@ from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
 from petscjam.analysis.statistics import by_pressure, means
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -23,11 +22,12 @@ LOW = 1e-3  # where corrections to scaling are smaller
 PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     results = data.results(files, PackingAnalysis(quasistatic_response), prestress=(True, False))
-    on_root(data.comm, _draw, data.page, data.stable(results, "quasi-static responses"), picture)
+    on_root(data.comm, _draw, data.page, data.stable(results, "quasi-static responses"), data.picture)
 
 
 def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:

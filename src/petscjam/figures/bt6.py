@@ -10,7 +10,6 @@ from petscjam.analysis.statistics import grouped
 from petscjam.figures.bt3 import draw_collapse
 from petscjam.figures.data import FigureData
 from petscjam.figures.panels import draw_mean, guide
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
@@ -19,16 +18,17 @@ from petscjam.rows.damping import StokesDrag
 FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
-    """Make and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
+def draw(data: FigureData) -> None:
+    """Find what the figure shows, and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis = ModulusAnalysis(parameters.points("omega"))
     results = data.results(files, analysis, [StokesDrag()], (True, False))
-    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), StokesDrag(), picture, FLUID)
+    on_root(data.comm, draw_collapse, data.page, data.stable(results, "G*"), StokesDrag(), data.picture, FLUID)
     one = data.packings(parameters["particles"], [parameters["fluid_pressure"]])
     fluids = [StokesDrag(float(eta)) for eta in parameters.points("fluids")]
     varied = data.results(one, analysis, fluids, tag="fluids")
-    other = picture.with_stem(f"{picture.stem}-fluid")
+    other = data.picture.with_stem(f"{data.picture.stem}-fluid")
     on_root(data.comm, _draw_fluids, data.stable(varied, "varying ηF"), other)
 
 

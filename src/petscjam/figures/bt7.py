@@ -16,7 +16,6 @@ from petscjam.analysis.scaling import Curve, log_corrected, nearest_parabola, pa
 from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Finding, Page
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
@@ -24,8 +23,9 @@ from petscjam.plots.figure import save
 from petscjam.rows.damping import ContactDamping, StokesDrag
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     contact: dict[str, Any] = {}
     few = {"omegas": parameters.points("contact_omega")}
     for n in parameters.points("sizes").astype(int).tolist():
@@ -41,7 +41,7 @@ def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
     many = PackingAnalysis(correlations, {"omegas": parameters.points("omega")})
     stokes = data.results(files, many, [StokesDrag()], tag="stokes")
     solid, shown = data.stable(stokes, "Stokes drag"), float(parameters["shown_pressure"])
-    on_root(data.comm, _draw, data.page, contact, lanes, solid, shown, picture)
+    on_root(data.comm, _draw, data.page, contact, lanes, solid, shown, data.picture)
 
 
 def _draw(

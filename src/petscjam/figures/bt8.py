@@ -14,7 +14,6 @@ from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import viscosity
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
@@ -27,15 +26,16 @@ LARGE = 50.0  # pN² from which η0 is looked at for a dependence on N
 MARKERS = "osD^vP*X"
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     results: dict[str, Any] = {}
     pressures, fewer = parameters.points("pressure"), parameters.points("large_pressure")
     for n in parameters.points("particles").astype(int).tolist():
         files = data.packings(n, fewer if n >= parameters["large"] else pressures)
         made = data.results(files, PackingAnalysis(viscosity), list(EXPONENTS), (True, False), tag=f"N{n}")
         results |= {f"{n} {name}": v for name, v in data.stable(made, f"η0, N = {n}").items()}
-    on_root(data.comm, _draw, data.page, results, picture)
+    on_root(data.comm, _draw, data.page, results, data.picture)
 
 
 def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:

@@ -50,6 +50,11 @@ class FigureData:
     page: Page = field(default_factory=Page)
     checksums: dict[Path, str] = field(default_factory=dict)
 
+    @property
+    def picture(self) -> Path:
+        """The file of the picture."""
+        return self.folder / f"{self.parameters.figure}.png"
+
     def packings(self, particles: int, pressures: Iterable[float]) -> list[Path]:
         """Return the packings of the seeds of the preset, prepared if need be, less those not proved minima.
 

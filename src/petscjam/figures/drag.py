@@ -18,7 +18,6 @@ from petscjam.analysis.statistics import by_pressure
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.figures.panels import guide
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
@@ -28,8 +27,9 @@ from petscjam.rows.damping import ContactDamping
 AFFINE = 0.05  # ωτα above which the response is no longer critical
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis: Any = ModulusAnalysis(parameters.points("linear_omega"))
     linear = data.results(files, analysis, [ContactDamping()], (False,), tag="linear")
@@ -38,7 +38,7 @@ def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
         settings = {"omegas": parameters.points("omega"), "stress": parameters["stress"], "alpha": alpha}
         analysis = PackingAnalysis(self_consistent_drag, settings)
         contacts[alpha] = data.results(files, analysis, prestress=(False,), tag=f"alpha{alpha:.3f}")
-    on_root(data.comm, _draw, data.page, linear, contacts, picture)
+    on_root(data.comm, _draw, data.page, linear, contacts, data.picture)
 
 
 def _draw(page: Page, linear: Mapping[str, Any], contacts: Mapping[float, Any], picture: Path) -> None:

@@ -17,7 +17,6 @@ from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.statistics import binned_medians, by_pressure, means
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
-from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
@@ -27,14 +26,15 @@ from petscjam.plots.nonaffine import LABELS, STYLES
 WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 
 
-def draw(data: FigureData, parameters: Parameters, picture: Path) -> None:
+def draw(data: FigureData) -> None:
     """Find what the figure shows, and draw it."""
+    parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     low = PackingAnalysis(mode_sum, {"count": parameters["count"]})
     modes = data.results(files, low, prestress=(False,), tag="rebuilt")
     every = PackingAnalysis(density_of_states, {"moments": parameters["moments"]})
     density = data.results(files, every, prestress=(False,), tag="density")
-    on_root(data.comm, _draw, data.page, modes, density, picture)
+    on_root(data.comm, _draw, data.page, modes, density, data.picture)
 
 
 def _draw(page: Page, modes: Mapping[str, Any], density: Mapping[str, Any], picture: Path) -> None:
