@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import names
-from petscjam.analysis.rebuilt import modes_needed
+from petscjam.analysis.mode_sum import modes_needed
 
 import petscjam as pj
 from petscjam.analysis.scaling import Curve, collapse, power_law
