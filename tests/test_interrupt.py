@@ -99,7 +99,7 @@ def test_handlers_of_others_stay(monkeypatch):
 def test_a_run_interrupted_within_a_row_goes_on_bit_for_bit(tmp_path, monkeypatch, count):
     whole = pj.md.shear(**SHORT, output=tmp_path / "a.h5")
     with monkeypatch.context() as patch:
-        signal_at(patch, Simulation, "observe", count)
+        signal_at(patch, Simulation, "sample", count)
         with pytest.raises(KeyboardInterrupt):
             pj.md.shear(**SHORT, output=tmp_path / "b.h5")
     stopped = pj.md.result.read(tmp_path / "b.h5")
@@ -111,16 +111,16 @@ def test_a_run_interrupted_within_a_row_goes_on_bit_for_bit(tmp_path, monkeypatc
 @pytest.mark.parametrize("error", [MemoryError, RuntimeError, KeyboardInterrupt])
 def test_an_error_within_a_row_leaves_the_last_whole_one(tmp_path, monkeypatch, error):
     pj.md.shear(**SHORT, output=tmp_path / "a.h5")
-    usual, calls = Simulation.observe, []
+    usual, calls = Simulation.sample, []
 
-    def observe(self, *arguments):
+    def sample(self, *arguments):
         calls.append(1)
         if len(calls) == 58:
             raise error
         return usual(self, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Simulation, "observe", observe)
+        patch.setattr(Simulation, "sample", sample)
         with pytest.raises(error):
             pj.md.shear(**SHORT, output=tmp_path / "b.h5")
     stopped = pj.md.result.read(tmp_path / "b.h5")
@@ -131,7 +131,7 @@ def test_an_error_within_a_row_leaves_the_last_whole_one(tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("number", STATUS)
 def test_the_command_says_what_stopped_it(tmp_path, monkeypatch, capsys, number):
-    signal_at(monkeypatch, Simulation, "observe", 8, number)
+    signal_at(monkeypatch, Simulation, "sample", 8, number)
     out = tmp_path / "run.h5"
     arguments = ["shear", "--particles", "64", "--rate", "1e-2", "--strain", "1", "-o", str(out)]
     assert main(arguments) == STATUS[number]

@@ -581,13 +581,13 @@ def test_contacts_are_those_of_the_slow_twin(name):
         assert listed == {frozenset((i, j)) for i, j, _, _ in twin.touching(simulation.state)}
 
 
-def test_what_is_seen_of_disks_and_contacts():
+def test_a_sample_of_disks_and_contacts():
     """Spins, velocities (VOT eqs. 29, 35, 36), contact velocities (eqs. 31–34, the arms of eq. 6), layers."""
     simulation = Simulation(disks(10, 40), Model(MODELS["CD_rot"], 1.0), 0.01)
     advance(simulation, 7)
     simulation.collect()
     layers, moments, scatter = np.zeros((3, 4)), np.zeros((5, 4)), np.zeros(4)
-    sums = simulation.observe(layers, moments, scatter)
+    sums = simulation.sample(layers, moments, scatter)
     state, rows = simulation.state, []
     for i, j, r, v in twin.touching(state):
         d, out = state.radii[i] + state.radii[j], -r / np.hypot(*r)

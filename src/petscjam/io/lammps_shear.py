@@ -137,25 +137,11 @@ def write_lammps(
     InputError
         If LAMMPS cannot express the model, a number is wrong, dt is too large or a file cannot be written.
     """
-    for value, good, what in (
-        (model.potential.exponent, model.potential.exponent == 2, "the exponent 2 only, not"),
-        (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
-        (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
-        (model.spin_drag, model.spin_drag == 0, "no drag on rotations, but there is"),
-        (model.normal, model.normal > 0, "tangential damping beside normal damping only, which is"),
-        (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
-    ):
-        if not good:
-            raise InputError(f"lammps: its input has {what} {shown(value)}")
+    _check_model(state, model)
     ranges.RATE.check("lammps: rate", rate)
     ranges.RATE_SIZE.check("lammps: the size of the rate", abs(rate))
     ranges.STRAIN.check("lammps: strain", strain)
-    # With damping from velocities half a step old dt is stable if dt λ/2 + dt² κ/4 ≤ 1.
-    relaxation, oscillation = Simulation(state, model).fastest()
-    largest = stable_step("single", relaxation / 2, oscillation)
-    dt = min(model.step(None, "heun"), largest) if dt is None else model.step(dt, "heun")
-    if dt > largest:
-        raise InputError(f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}")
+    dt = _time_step(state, model, dt)
     steps = ceil(strain / (abs(rate) * dt) * (1 - 1e-12))
     if steps > ranges.MOST_STEPS:
         raise InputError(f"lammps: {steps:.3g} time steps; at most {ranges.MOST_STEPS:.0g}")
@@ -194,6 +180,30 @@ def write_lammps(
     for name, text in texts.items():
         write_atomically(Path(folder, name), text.encode())
     Path(folder, "end.dump").unlink(missing_ok=True)  # the end of another run
+
+
+def _check_model(state: State, model: Model) -> None:
+    """Refuse what LAMMPS cannot express."""
+    for value, good, what in (
+        (model.potential.exponent, model.potential.exponent == 2, "the exponent 2 only, not"),
+        (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
+        (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
+        (model.spin_drag, model.spin_drag == 0, "no drag on rotations, but there is"),
+        (model.normal, model.normal > 0, "tangential damping beside normal damping only, which is"),
+        (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
+    ):
+        if not good:
+            raise InputError(f"lammps: its input has {what} {shown(value)}")
+
+
+def _time_step(state: State, model: Model, dt: float | None) -> float:
+    """Return ``dt``, or the default; damping from velocities half a step old is stable if dt λ/2 + dt² κ/4 ≤ 1."""
+    relaxation, oscillation = Simulation(state, model).fastest()
+    largest = stable_step("single", relaxation / 2, oscillation)
+    dt = min(model.step(None, "heun"), largest) if dt is None else model.step(dt, "heun")
+    if dt > largest:
+        raise InputError(f"lammps: dt must be at most {largest:.3g} tau_e for these contacts, not {shown(dt)}")
+    return dt
 
 
 def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:

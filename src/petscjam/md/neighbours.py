@@ -55,7 +55,7 @@ class Pairs(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def wrap(q, L, strain, rate):
-    """Move every disk to its image in the square, with the velocity of that image."""
+    """Move every disk of q (N, ≥ 3) to its image in the square, with the velocity of that image."""
     for a in range(len(q)):
         row = np.floor(q[a, 1] / L)
         q[a, 1] -= row * L

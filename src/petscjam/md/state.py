@@ -105,13 +105,11 @@ class State:
 
     def wrapped(self) -> State:
         """Return the same state by the images inside the square 0 ≤ x, y < L."""
-        x, v, L = self.positions.copy(), self.velocities.copy(), self.length
-        rows = np.floor(x[:, 1] / L)
-        x[:, 1] -= rows * L
-        x[:, 0] -= rows * self.strain * L
-        v[:, 0] -= rows * self.rate * L
-        x[:, 0] -= np.floor(x[:, 0] / L) * L
-        return replace(self, positions=x, velocities=v)
+        from petscjam.md.neighbours import wrap
+
+        q = np.column_stack([self.positions, self.velocities])
+        wrap(q, self.length, self.strain, self.rate)
+        return replace(self, positions=q[:, :2], velocities=q[:, 2:])
 
     def packing(self) -> Packing:
         """Return positions, radii and cell as a :class:`petscjam.Packing`, as they are: not minimised."""
