@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import hashlib
 import os
 import re
 import subprocess
@@ -37,6 +38,30 @@ def pytest_report_teststatus(report):
     return (report.outcome, "", "") if is_quiet() and not report.failed else None
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--share", type=Path, metavar="FOLDER", help="leave out the tests begun by another run with FOLDER"
+    )
+    parser.addoption("--backwards", action="store_true", help="run the last test first")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    if config.option.backwards:
+        items.reverse()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item):
+    """Leave a test out if another run has begun it: the first to create its file in the folder runs it."""
+    if item.config.option.share:
+        try:
+            (item.config.option.share / hashlib.sha256(item.nodeid.encode()).hexdigest()).touch(exist_ok=False)
+        except FileExistsError:
+            return True
+    return None
+
+
 NUMPYS = re.compile(rb"np\.(float|complex|u?int|str_|True_|False_)")
 
 
@@ -64,11 +89,23 @@ def comm():
     return MPI.COMM_WORLD
 
 
-def names(message, value):
-    """Tell whether ``value`` stands in ``message``; a number by itself: 3 does not in 0.3, 13 or a path."""
-    if not re.fullmatch(r"-?\d+", value):
-        return value in message
-    return re.search(rf"(?<![\w./-]){re.escape(value)}(\.0)?(?!\w|\.\d|/)", message) is not None
+@pytest.fixture(scope="session")
+def three_packings(tmp_path_factory):
+    """Return a folder of three packings of 64 disks, stable against shear, made by rank 0: p1.h5 to p3.h5."""
+    from helpers import jammed
+    from mpi4py import MPI
+
+    from petscjam.parallel.comm import on_root
+    from petscjam.parallel.petsc import start
+
+    def prepare():
+        folder = tmp_path_factory.mktemp("packings")
+        for seed in (1, 2, 3):
+            jammed(seed=seed, shear_stabilised=True).write(folder / f"p{seed}.h5")
+        return folder
+
+    start(MPI.COMM_WORLD)  # as the command does before any rank is on its own
+    return on_root(MPI.COMM_WORLD, prepare)
 
 
 @pytest.fixture

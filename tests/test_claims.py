@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers import SIXTEEN, refused
 
 import petscjam as pj
 from petscjam.base.errors import InputError
 from petscjam.cli import main
 from petscjam.parallel.claims import claimed, made_folder
 
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 HOLDER = """
 import sys
 from petscjam.parallel.claims import claimed
@@ -47,16 +47,6 @@ def holder(environment):
     for process in started:
         process.kill()
         process.communicate()
-
-
-def refused(capfd, *arguments):
-    """Run, expect exit status 2 and one line on standard error; return it."""
-    capfd.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1, err
-    return err
 
 
 def test_a_claim_is_released(tmp_path):

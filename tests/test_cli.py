@@ -7,14 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import names
+from helpers import SIXTEEN, jax_md, names, refused
 
 import petscjam as pj
 from petscjam.base.files import atomic_h5
 from petscjam.cli import main
-
-DATA = Path(__file__).parent / "data"
-SIXTEEN = DATA / "jambashbulk-N16-P1e-3-0001.txt"
 
 
 @pytest.fixture
@@ -22,15 +19,6 @@ def packing(tmp_path):
     path = tmp_path / "sixteen.h5"
     assert main(["import", str(SIXTEEN), "-o", str(path)]) == 0
     return path
-
-
-def refused(capfd, *arguments):
-    """Run, expect exit status 2 and one line on standard error; return it."""
-    assert main([str(a) for a in arguments]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1, err
-    return err
 
 
 def test_moduli_are_those_of_the_library(packing, tmp_path):
@@ -96,7 +84,7 @@ def test_table_flags_an_unstable_packing(tmp_path, capsys):
 
 def test_resume_adds_only_what_is_missing(packing, tmp_path):
     out, second = tmp_path / "g.h5", tmp_path / "jaxmd.h5"
-    pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc").write(second)
+    jax_md().write(second)
     main(["moduli", str(packing), "--omega", "1,2", "-o", str(out)])
     with atomic_h5(out, existing=True) as h5:
         next(iter(h5.values())).attrs["G0"] = 42.0  # a mark, to see that it is not computed again
@@ -427,7 +415,7 @@ def test_a_killed_run_leaves_whole_results(packing, tmp_path, environment):
     out, library = tmp_path / "g.h5", [packing]
     for index in range(5):
         library.append(tmp_path / f"jaxmd{index}.h5")
-        pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index).write(library[-1])
+        jax_md(index).write(library[-1])
     arguments = ["moduli", *map(str, library), "--omega", "1e-8:1e2:300", "-o", str(out)]
     command = [sys.executable, "-m", "petscjam", *arguments]
     run = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)

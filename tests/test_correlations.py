@@ -2,10 +2,10 @@
 
 from dataclasses import fields, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import any_prestress, jammed, sixteen, twin_contacts, twin_matrices
 
 import petscjam as pj
 from petscjam.analysis.correlations import (
@@ -17,9 +17,7 @@ from petscjam.analysis.correlations import (
     zero_crossing,
 )
 from petscjam.plots import plot_results
-from petscjam.reference import linear as reference
 
-DATA = Path(__file__).parent / "data"
 CELLS = {
     "square": [[12.0, 0.0], [0.0, 12.0]],
     "tilted": [[12.0, 0.0], [-7.5, 10.0]],
@@ -29,18 +27,8 @@ any_cell = pytest.mark.parametrize("cell", CELLS.values(), ids=CELLS)
 
 
 @cache
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
-
-
-@cache
-def jammed(n=64, seed=3):
-    return pj.prepare_packing(n, 1e-2, seed)
-
-
-@cache
 def model(law=None, span=(1e-10, 1e2), prestress=True):
-    return pj.spectrum(jammed(), span, damping=law, prestress=prestress, rtol=1e-10)
+    return pj.spectrum(jammed(seed=3), span, damping=law, prestress=prestress, rtol=1e-10)
 
 
 def scattered(cell, n=60, seed=0):
@@ -227,27 +215,20 @@ def test_frequencies_of_a_mean_agree():
 
 def dense(packing, omega, law, prestress):
     """u_y of Q* = (1/G*)(q, 1) from the dense twin, over the backbone, with zero mean; NaN elsewhere."""
-    radii, n = packing.radii, len(packing)
-    whole = reference.contacts(packing.positions, radii, packing.box.cell)
-    found = reference.without_rattlers(whole, n)
-    drag = isinstance(law, pj.StokesDrag)
-    K = reference.hessian(whole if drag else found, radii, "simple-shear", prestress)
-    if drag:
-        B = reference.stokes_drag(n, packing.box.area, law.eta_fluid)
-    else:
-        B = reference.contact_damping(found, radii, law.beta, law.rotations)
+    n = len(packing)
+    K, B, _ = twin_matrices(packing, law, prestress=prestress)
     A = K + 1j * omega * B
     scale = 1 / np.sqrt(np.abs(np.diag(A)) + (np.diag(A) == 0))
     forcing = np.zeros(len(A))
     forcing[-1] = scale[-1]
     Q = scale * np.linalg.lstsq(scale[:, None] * A * scale, forcing, rcond=1e-14)[0]
     uy = np.full(n, complex(np.nan, np.nan))
-    backbone = sorted({disk for c in found for disk in (c.i, c.j)})
+    backbone = sorted({disk for c in twin_contacts(packing) for disk in (c.i, c.j)})
     uy[backbone] = Q[1 : 2 * n : 2][backbone] - Q[1 : 2 * n : 2][backbone].mean()
     return uy
 
 
-@pytest.mark.parametrize("prestress", [True, False])
+@any_prestress
 @pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag(eta_fluid=1.0)], ids=str)
 def test_both_phases_agree_with_dense_algebra(law, prestress):
     packing, omega = sixteen(), [1e-3, 0.1, 3.0]
@@ -262,13 +243,13 @@ def test_both_phases_agree_with_dense_algebra(law, prestress):
 @pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag(eta_fluid=1.0)], ids=str)
 def test_both_phases_agree_with_direct_solves_over_twelve_decades(law):
     omega = np.array([1e-10, 1e-5, 0.03, 1e2])
-    direct = pj.complex_modulus(jammed(), omega, damping=law, fields_at=omega)
+    direct = pj.complex_modulus(jammed(seed=3), omega, damping=law, fields_at=omega)
     found = correlations_of(model(law), omega)
-    backbone = pj.ContactNetwork.of(jammed()).backbone
+    backbone = pj.ContactNetwork.of(jammed(seed=3)).backbone
     Q = direct.fields[..., 1] / direct.values[:, None]
     Q = np.where(backbone, Q - Q[:, backbone].mean(1, keepdims=True), complex(np.nan, np.nan))
     for part, C in ((Q.real, found.real), (Q.imag, found.imaginary)):
-        slow = lane_correlation(jammed(), part, width=found.width, bin=found.bin).C
+        slow = lane_correlation(jammed(seed=3), part, width=found.width, bin=found.bin).C
         np.testing.assert_allclose(C, slow, atol=1e-6)
 
 
@@ -295,8 +276,8 @@ def test_fluid_turns_the_phase():
 def test_settings_and_modulus_come_along():
     s = model()
     c = correlations_of(s, [1e-3, 1.0])
-    assert (c.width, c.bin) == (jammed().mean_diameter, jammed().mean_diameter / 2)
-    assert c.L == jammed().box.cell[0, 0]
+    assert (c.width, c.bin) == (jammed(seed=3).mean_diameter, jammed(seed=3).mean_diameter / 2)
+    assert c.L == jammed(seed=3).box.cell[0, 0]
     np.testing.assert_array_equal(c.G, s([1e-3, 1.0]))
     assert len(c.delta) == len(c.pairs) == c.real.shape[1] == c.imaginary.shape[1]
 
@@ -306,7 +287,9 @@ def test_every_number_of_ranks_gives_the_same(comm):
     from mpi4py import MPI
 
     omega = [1e-10, 1e-3, 10.0]
-    together, alone = (correlations(jammed(), omega, damping=pj.StokesDrag(), comm=c) for c in (comm, MPI.COMM_SELF))
+    together, alone = (
+        correlations(jammed(seed=3), omega, damping=pj.StokesDrag(), comm=c) for c in (comm, MPI.COMM_SELF)
+    )
     np.testing.assert_allclose(together.real, alone.real, atol=1e-8)
     np.testing.assert_allclose(together.imaginary, alone.imaginary, atol=1e-8)
     for item in fields(together):
@@ -317,7 +300,7 @@ def test_every_number_of_ranks_gives_the_same(comm):
 @pytest.mark.parallel(nprocs=2)
 def test_ranks_that_disagree_are_refused(comm):
     with pytest.raises(pj.InputError, match="differ between the ranks"):
-        correlations(jammed(), [1.0], width=1.0 + comm.rank, comm=comm)
+        correlations(jammed(seed=3), [1.0], width=1.0 + comm.rank, comm=comm)
 
 
 # ---- bad input
@@ -340,7 +323,7 @@ def test_ranks_that_disagree_are_refused(comm):
 )
 def test_what_makes_no_sense_is_refused(settings, message):
     with pytest.raises(pj.InputError, match=message):
-        correlations(jammed(), **{"omegas": [1.0], **settings})
+        correlations(jammed(seed=3), **{"omegas": [1.0], **settings})
 
 
 def test_a_cell_without_lattice_vector_along_x_is_refused():

@@ -3,12 +3,12 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from conftest import START
+from helpers import SIXTEEN
 
 import petscjam as pj
 from petscjam.base.errors import InputError
@@ -18,7 +18,6 @@ from petscjam.io.results import append_result, read_results
 from petscjam.preparation.library import INDEX, RECIPE
 
 pytestmark = pytest.mark.parallel(nprocs=1)
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 VERBS = {
     "moduli": ["moduli", "--omega", "1e-3:10:5", "--fields", "1"],
     "nonaffine": ["nonaffine"],

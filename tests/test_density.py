@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import any_prestress, jammed, sixteen, twin_contacts
 from scipy.integrate import quad
 
 import petscjam as pj
@@ -15,24 +15,19 @@ from petscjam.plots import plot_results
 from petscjam.reference import linear as reference
 from petscjam.response.origin import Origin
 
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
-any_prestress = pytest.mark.parametrize("prestress", [True, False])
 any_packing = pytest.mark.parametrize("which", ["sixteen", "rattlers"])
 
 
 @cache
 def packing(which="rattlers"):
-    if which == "sixteen":
-        return pj.import_packing(SIXTEEN)
-    return pj.prepare_packing(64, 1e-3 if which == "rattlers" else 1e-2, 3)
+    return sixteen() if which == "sixteen" else jammed(1e-3 if which == "rattlers" else 1e-2, seed=3)
 
 
 @cache
 def frequencies(which, prestress=True):
     """√λ of the dense K of the slow twin, without zeros of rattlers and translations."""
     p = packing(which)
-    found = reference.contacts(p.positions, p.radii, p.box.cell)
-    found = reference.without_rattlers(found, len(p))
+    found = twin_contacts(p)
     K = reference.hessian(found, p.radii, prestress=prestress)[: 2 * len(p), : 2 * len(p)]
     values = np.linalg.eigvalsh(K)
     return np.sqrt(values[2 * (len(p) - len({d for c in found for d in (c.i, c.j)})) + 2 :])

@@ -1,10 +1,10 @@
 """Facts of nonlinear drag: limits, energy over a cycle, an exact symmetry, dense twins, motion in time."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import any_prestress, any_strain, sixteen, twin_contacts
 from scipy.integrate import solve_ivp
 
 import petscjam as pj
@@ -13,18 +13,11 @@ from petscjam.analysis.drag import equivalent_drag, equivalent_time, line_factor
 from petscjam.plots import plot_results
 from petscjam.reference import linear as reference
 
-DATA = Path(__file__).parent / "data"
 OMEGA = np.array([1e-3, 1e-1, 10.0])
 EXPONENTS = [2 / 3, 1 / 2]
 CYCLE = np.arange(4096) * 2 * np.pi / 4096
 
 any_exponent = pytest.mark.parametrize("alpha", EXPONENTS)
-any_strain = pytest.mark.parametrize("strain", ["simple-shear", "pure-shear", "compression"])
-
-
-@cache
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
 
 
 @cache
@@ -155,7 +148,7 @@ def test_uniform_drag_of_a_model_that_is_made_already():
 def dense_twin(alpha, omega, stress, steps, strain="simple-shear", prestress=True):
     """The iteration with plain loops, dense algebra, and averages over a sampled cycle."""
     packing = sixteen()
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell)
+    found = twin_contacts(packing)
     K = reference.hessian(found, packing.radii, strain, prestress)
     rows = [reference.rows(c, packing.radii, strain, arms=1) for c in found]
     tau = np.ones(len(found))
@@ -176,7 +169,7 @@ def dense_twin(alpha, omega, stress, steps, strain="simple-shear", prestress=Tru
 
 
 @any_exponent
-@pytest.mark.parametrize("prestress", [True, False])
+@any_prestress
 def test_slow_twin(alpha, prestress):
     slow, _ = dense_twin(alpha, 0.3, 0.1, 40, prestress=prestress)
     fast = self_consistent_drag(sixteen(), [0.3], 0.1, alpha, prestress=prestress, rtol=1e-10)
@@ -194,7 +187,7 @@ def test_slow_twin_in_pure_shear():
 def test_every_contact_dissipates_what_the_nonlinear_law_would(strain, alpha):
     """Along the path that the effective law makes, over a cycle, wherever the floor plays no part."""
     result = per_contact(alpha, strain=strain)
-    found = reference.contacts(sixteen().positions, sixteen().radii, sixteen().box.cell)
+    found = twin_contacts(sixteen())
     network = pj.ContactNetwork.of(sixteen())
     rows = {(c.i, c.j, round(c.rx, 6), round(c.ry, 6)): reference.rows(c, sixteen().radii, strain, 1) for c in found}
     rows |= {(j, i, -x, -y): pair for (i, j, x, y), pair in rows.items()}
@@ -222,7 +215,7 @@ def modulus_in_time(alpha, omega, stress, steps=64, cycles=2):
     """
     packing = sixteen()
     scale = packing.mean_diameter ** (1 - alpha)
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell)
+    found = twin_contacts(packing)
     A = np.array([reference.rows(c, packing.radii, "simple-shear", 1) for c in found])[:, :, 2:]
     K = reference.hessian(found, packing.radii)[2:, 2:]  # the first disk is held
     both, dt = A.reshape(-1, len(K)), 2 * np.pi / omega / steps

@@ -11,24 +11,14 @@ from petscjam.base.errors import InputError
 from petscjam.base.files import atomic_h5
 from petscjam.cli import main
 from petscjam.io.jobs import Ensemble, ModulusAnalysis, analyse
-from petscjam.parallel.comm import on_root
 
 OMEGA = np.geomspace(1e-4, 10, 6)
 ROUNDING = 1e-10  # of the direct solves that are compared with
 
 
 @pytest.fixture(scope="module")
-def packings(tmp_path_factory):
-    """Return three packings of 64 disks, stable against shear, in a folder of rank 0."""
-    from mpi4py import MPI
-
-    def prepare():
-        folder = tmp_path_factory.mktemp("packings")
-        for seed in (1, 2, 3):
-            pj.prepare_packing(64, 1e-2, seed, shear_stabilised=True).write(folder / f"p{seed}.h5")
-        return sorted(folder.glob("*.h5"))
-
-    return on_root(MPI.COMM_WORLD, prepare)
+def packings(three_packings):
+    return sorted(three_packings.glob("*.h5"))
 
 
 ROLLING = [pj.ContactDamping()]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import names
-from petscjam.analysis.mode_sum import modes_needed
+from helpers import names, refused
 
 import petscjam as pj
+from petscjam.analysis.mode_sum import modes_needed
 from petscjam.analysis.scaling import Curve, collapse, power_law
 from petscjam.analysis.statistics import by_pressure
 from petscjam.base.errors import InputError, SolverError
@@ -118,15 +118,6 @@ def blind(monkeypatch):
     """Draw nothing where the picture is not looked at: it takes most of the time."""
     monkeypatch.setattr("petscjam.figures.bt5.save", lambda figure, path: None)
     monkeypatch.setattr("petscjam.figures.bt6.draw_collapse", lambda *arguments: None)
-
-
-def refused(capfd, *arguments):
-    """Run, expect exit status 2 and one line on standard error; return it."""
-    capfd.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1, err
-    return err
 
 
 def state(folder, pattern="*.h5"):

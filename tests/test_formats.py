@@ -9,9 +9,10 @@ from pathlib import Path
 import gsd.hoomd
 import numpy as np
 import pytest
+from helpers import JAXMD, SIXTEEN
 from hypothesis import given
 from hypothesis import strategies as st
-from test_io import JAMBASH, JAXMD, packings, refuses, same_bits
+from test_io import packings, refuses, same_bits
 
 from petscjam.base.errors import InputError
 from petscjam.geometry.box import Box
@@ -30,7 +31,7 @@ def turned(packing):
 
 @pytest.fixture
 def packing():
-    return import_packing(JAMBASH)
+    return import_packing(SIXTEEN)
 
 
 @pytest.fixture(params=["as it is", "turned"])
@@ -143,7 +144,7 @@ def test_gsd_of_another_schema(tmp_path):
 @given(st.floats(0, 1, exclude_max=True))
 def test_truncated_gsd(tmp_path_factory, fraction):
     path = tmp_path_factory.mktemp("io") / "p.gsd"
-    export_packing(import_packing(JAMBASH), path, to="gsd")
+    export_packing(import_packing(SIXTEEN), path, to="gsd")
     data = path.read_bytes()
     path.write_bytes(data[: int(fraction * len(data))])
     refuses(path)
@@ -407,7 +408,7 @@ def test_what_a_foreign_header_says_stays_in_the_header(packing, tmp_path):
 
 @pytest.mark.parametrize("write", [None, Packing.write, export_packing])
 def test_another_potential_than_that_of_the_file_is_refused(packing, tmp_path, write):
-    path = JAMBASH
+    path = SIXTEEN
     if write:
         path = tmp_path / "p"
         write(packing, path)

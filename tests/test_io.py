@@ -3,11 +3,11 @@
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from helpers import JAXMD, SIXTEEN
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,10 +18,6 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Certificate, Packing
 from petscjam.io.exporters import export_packing
 from petscjam.io.importers import import_packing
-
-DATA = Path(__file__).parent / "data"
-JAMBASH = DATA / "jambashbulk-N16-P1e-3-0001.txt"
-JAXMD = DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc"
 
 
 @st.composite
@@ -44,7 +40,7 @@ def same_bits(a, b):
 
 @pytest.fixture
 def packing():
-    return import_packing(JAMBASH)
+    return import_packing(SIXTEEN)
 
 
 @pytest.fixture
@@ -160,14 +156,14 @@ def test_jambash_pressure(packing):
 
 
 def test_jambash_provenance(packing):
-    assert packing.provenance["source"] == JAMBASH.name
+    assert packing.provenance["source"] == SIXTEEN.name
     assert packing.provenance["header"]["seed"] == "0"
     assert packing.provenance["header"]["commit"] == "85670c21403a4f54092b9da783e3a906d5e2f869"
 
 
 def test_jambash_file_of_several_packings(tmp_path, packing):
     """The program appends a header and a table for every step of a shear."""
-    text = JAMBASH.read_text()
+    text = SIXTEEN.read_text()
     path = tmp_path / "two.txt"
     path.write_text(text + text[text.index("N = ") :].replace("0.0630575654921525210", "0.5"))
     assert same_bits(packing, import_packing(path, 0))
@@ -211,7 +207,7 @@ def test_missing_file(tmp_path):
 
 
 def test_not_hdf5():
-    refuses(JAMBASH, "not an HDF5 file", read=Packing.read)
+    refuses(SIXTEEN, "not an HDF5 file", read=Packing.read)
 
 
 def test_unknown_format(tmp_path):
@@ -223,7 +219,7 @@ def test_unknown_format(tmp_path):
 @given(st.floats(0, 1, exclude_max=True))
 def test_truncated_h5md(tmp_path_factory, fraction):
     path = tmp_path_factory.mktemp("io") / "p.h5"
-    import_packing(JAMBASH).write(path)
+    import_packing(SIXTEEN).write(path)
     data = path.read_bytes()[:-48]  # less its digest
     path.write_bytes(data[: int(fraction * len(data))])
     refuses(path, read=Packing.read)
@@ -232,7 +228,7 @@ def test_truncated_h5md(tmp_path_factory, fraction):
 @given(st.floats(0, 1, exclude_max=True))
 def test_truncated_text(tmp_path_factory, fraction):
     path = tmp_path_factory.mktemp("io") / "p.txt"
-    text = JAMBASH.read_text().rstrip()
+    text = SIXTEEN.read_text().rstrip()
     path.write_text(text[: int(fraction * len(text))])
     refuses(path)
 
@@ -282,7 +278,7 @@ def test_bad_value_in_h5md(written, name, value):
 )
 def test_bad_text_is_refused_with_its_line(tmp_path, old, new, words):
     path = tmp_path / "bad.txt"
-    text = JAMBASH.read_text()
+    text = SIXTEEN.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1).rstrip())
     refuses(path, *words)
@@ -404,9 +400,9 @@ def test_one_rank_writes_and_all_read(comm, tmp_path):
     """Under mpirun h5py may be its parallel build; the files are serial all the same."""
     path = comm.bcast(tmp_path / "p.h5")
     if comm.rank == 0:
-        import_packing(JAMBASH).write(path)
+        import_packing(SIXTEEN).write(path)
     comm.barrier()
-    assert same_bits(Packing.read(path), import_packing(JAMBASH))
+    assert same_bits(Packing.read(path), import_packing(SIXTEEN))
     comm.barrier()
 
 

@@ -11,7 +11,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from conftest import names
+from helpers import names, refused
 
 import petscjam as pj
 import petscjam.plots
@@ -40,15 +40,6 @@ def folder(tmp_path):
 
 def packings(folder):
     return {file.name: file.read_bytes() for file in folder.glob("*.h5")}
-
-
-def refused(capfd, *arguments):
-    """Run, expect exit status 2 and one line on standard error; return it."""
-    capfd.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1, err
-    return err
 
 
 # --- teams ------------------------------------------------------------------------------------------------

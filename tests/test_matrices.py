@@ -1,10 +1,10 @@
 """K and B as assembled, against the slow twin and against forces they must be derivatives of."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import jax_md
 
 import petscjam as pj
 from petscjam.reference import linear as reference
@@ -12,12 +12,7 @@ from petscjam.response.matrices import assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import SIMPLE_SHEAR, STRAINS, strain_mode
 
-DATA = Path(__file__).parent / "data"
 LAWS = [pj.ContactDamping(0.3), pj.ContactDamping(0.3, rotations=False), pj.StokesDrag(2.0)]
-
-
-def jax_md():
-    return pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", 4)
 
 
 def dense(packing, law, comm, strain=SIMPLE_SHEAR, prestress=True):
@@ -49,7 +44,7 @@ def dense(packing, law, comm, strain=SIMPLE_SHEAR, prestress=True):
 @pytest.mark.parametrize("law", LAWS, ids=str)
 @pytest.mark.parametrize("strain", STRAINS)
 def test_matrices_are_those_of_the_slow_twin(comm, law, strain):
-    packing = jax_md()
+    packing = jax_md(4)
     K, B = dense(packing, law, comm, strain_mode(strain))
     found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative=True)
     slow = reference.hessian(found, packing.radii, strain)
@@ -64,13 +59,13 @@ def test_matrices_are_those_of_the_slow_twin(comm, law, strain):
 @pytest.mark.parallel(nprocs=[1, 2])
 @pytest.mark.parametrize("law", LAWS, ids=str)
 def test_matrices_are_symmetric(comm, law):
-    for matrix in dense(jax_md(), law, comm):
+    for matrix in dense(jax_md(4), law, comm):
         assert np.abs(matrix - matrix.T).max() < 1e-14 * np.abs(matrix).max()
 
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
 def test_translations_cost_no_energy_and_dissipate_only_against_a_fluid(comm, law):
-    K, B = dense(jax_md(), law, comm)
+    K, B = dense(jax_md(4), law, comm)
     translation = np.zeros(len(K))
     translation[0:128:2] = 1.0
     assert np.abs(K @ translation).max() < 1e-14
@@ -79,7 +74,7 @@ def test_translations_cost_no_energy_and_dissipate_only_against_a_fluid(comm, la
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
 def test_dissipation_is_never_negative(comm, law):
-    assert np.linalg.eigvalsh(dense(jax_md(), law, comm)[1]).min() > -1e-13
+    assert np.linalg.eigvalsh(dense(jax_md(4), law, comm)[1]).min() > -1e-13
 
 
 def forces(packing, u, s, mode):
@@ -92,7 +87,7 @@ def forces(packing, u, s, mode):
 @pytest.mark.parametrize("strain", STRAINS)
 def test_stiffness_is_the_derivative_of_the_force_to_second_order(comm, strain):
     """Central differences: ten times the step, a hundred times the error."""
-    packing, mode = jax_md(), strain_mode(strain)
+    packing, mode = jax_md(4), strain_mode(strain)
     K, _ = dense(packing, pj.ContactDamping(), comm, mode)
     u, s = np.random.default_rng(0).normal(size=(64, 2)), 0.7
     exact = -K[:128] @ np.concatenate([u.ravel(), np.zeros(64), [s]])
@@ -118,7 +113,7 @@ def energy(packing, s, mode):
 @pytest.mark.parametrize("strain", STRAINS)
 def test_affine_stiffness_is_the_second_derivative_of_the_energy(comm, strain):
     """With pre-stress this depends on how F(s) curves."""
-    packing, mode, h = jax_md(), strain_mode(strain), 1e-4
+    packing, mode, h = jax_md(4), strain_mode(strain), 1e-4
     K, _ = dense(packing, pj.ContactDamping(), comm, mode)
     second = (energy(packing, h, mode) - 2 * energy(packing, 0, mode) + energy(packing, -h, mode)) / h**2
     assert K[-1, -1] == pytest.approx(second, rel=1e-6)

@@ -1,10 +1,22 @@
 """Facts that the low modes and the slow relaxations obey: dense algebra, the slow twin, published numbers."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import (
+    EVERY_LAW,
+    any_law,
+    any_prestress,
+    any_strain,
+    jammed,
+    lattice,
+    sixteen,
+    square_lattice,
+    triangular_lattice,
+    twin_contacts,
+    twin_matrices,
+)
 from mpi4py import MPI
 from scipy.linalg import eigh
 from scipy.sparse import csc_array
@@ -23,32 +35,10 @@ from petscjam.response.problem import LinearProblem
 from petscjam.response.relaxations import relaxation_modes
 from petscjam.rows.kinematics import SIMPLE_SHEAR
 
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 PUBLISHED = {
     True: ([0.0595119881, 0.1284532830, 0.1912115675], 0.1088011),
     False: ([0.0612012380, 0.1307559102, 0.1938721026], 0.1105622390),
 }
-LAWS = [
-    pj.ContactDamping(),
-    pj.ContactDamping(beta=0.01),
-    pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(rotations=False),
-    pj.StokesDrag(eta_fluid=1.0),
-]
-
-any_prestress = pytest.mark.parametrize("prestress", [True, False])
-any_strain = pytest.mark.parametrize("strain", ["simple-shear", "pure-shear", "compression"])
-any_law = pytest.mark.parametrize("law", LAWS, ids=str)
-
-
-@cache
-def sixteen():
-    return pj.import_packing(SIXTEEN)
-
-
-@cache
-def jammed(pressure=1e-3, n=64, seed=7):
-    return pj.prepare_packing(n, pressure, seed)
 
 
 @cache
@@ -60,18 +50,6 @@ def random_disks(n=48, phi=2.0, seed=3):
     return pj.Packing(rng.uniform(0, side, (n, 2)), radii, pj.Box.square(side))
 
 
-def lattice(a, b, columns, rows, basis=((0, 0),)):
-    """Disks of diameter 1 on a lattice, neighbours at 0.99; ``a``, ``b`` and ``basis`` in units of that."""
-    a, b, basis = (0.99 * np.asarray(x, float) for x in (a, b, basis))
-    m, n = np.mgrid[0:columns, 0:rows].reshape(2, -1, 1, 1)
-    positions = (m * a + n * b + basis).reshape(-1, 2)
-    return pj.Packing(positions, np.full(len(positions), 0.5), pj.Box(np.array([columns * a, rows * b])))
-
-
-def square_lattice(columns, rows):
-    return lattice((1, 0), (0, 1), columns, rows)
-
-
 @cache
 def triangular(columns=8, rows=4):
     """A triangular crystal in a rectangular cell, two disks a row of it: degenerate by reflections."""
@@ -81,7 +59,7 @@ def triangular(columns=8, rows=4):
 @cache
 def rhombic(n=8):
     """A triangular crystal in a cell of its own symmetry: sets of 6 and 12 equal modes."""
-    return lattice((1, 0), (0.5, 0.75**0.5), n, n)
+    return triangular_lattice(n)
 
 
 def honeycomb(n):
@@ -111,14 +89,9 @@ def all_modes(packing, prestress=True, strain="simple-shear"):
     return lowest_modes(packing, 10**6, prestress=prestress, strain=strain)
 
 
-def contacts(packing):
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell)
-    return reference.without_rattlers(found, len(packing))
-
-
 def dense(packing, prestress=True, strain="simple-shear"):
     """K_uu and K_uγ on the backbone, K_γγ, by loops."""
-    K = reference.hessian(contacts(packing), packing.radii, strain, prestress)
+    K = reference.hessian(twin_contacts(packing), packing.radii, strain, prestress)
     u = np.flatnonzero(np.repeat(pj.ContactNetwork.of(packing).backbone, 2))
     return K[np.ix_(u, u)], K[u, -1], K[-1, -1]
 
@@ -160,8 +133,8 @@ def test_a_packing_that_is_no_minimum_has_negative_modes():
 
 
 def test_vectors_are_those_of_the_dense_matrix():
-    _, vectors = without_translations(dense(jammed())[0])
-    overlap = lowest_modes(jammed(), 10).vectors.reshape(10, -1) @ vectors[:, :10]
+    _, vectors = without_translations(dense(jammed(1e-3))[0])
+    overlap = lowest_modes(jammed(1e-3), 10).vectors.reshape(10, -1) @ vectors[:, :10]
     assert np.abs(overlap) == pytest.approx(np.eye(10), abs=1e-7)
 
 
@@ -173,11 +146,11 @@ def test_degenerate_modes_stay_orthonormal(packing, prestress):
 
 
 def test_modes_are_orthogonal_to_translations():
-    assert lowest_modes(jammed(), 20).vectors.sum(1) == pytest.approx(0, abs=1e-10)
+    assert lowest_modes(jammed(1e-3), 20).vectors.sum(1) == pytest.approx(0, abs=1e-10)
 
 
 def test_residuals_are_those_of_the_dense_matrix():
-    m, (K, _, _) = lowest_modes(jammed(), 20), dense(jammed())
+    m, (K, _, _) = lowest_modes(jammed(1e-3), 20), dense(jammed(1e-3))
     v = m.vectors.reshape(20, -1).T
     true = np.linalg.norm(K @ v - v * m.eigenvalues, axis=0)
     assert m.residuals == pytest.approx(true, abs=1e-13)
@@ -296,8 +269,8 @@ class Forgetful:
 
 def test_a_missed_mode_is_searched_for(monkeypatch):
     monkeypatch.setattr(modes_module, "lowest_pairs", Forgetful(1))
-    values, _ = without_translations(dense(jammed())[0])
-    m = lowest_modes(jammed(), 10)
+    values, _ = without_translations(dense(jammed(1e-3))[0])
+    m = lowest_modes(jammed(1e-3), 10)
     assert m.eigenvalues == pytest.approx(values[:10], abs=1e-9)
     assert m.complete and m.performance["eigensolves"] == 2
 
@@ -305,7 +278,7 @@ def test_a_missed_mode_is_searched_for(monkeypatch):
 def test_a_mode_that_is_missed_again_and_again_is_an_error(monkeypatch):
     monkeypatch.setattr(modes_module, "lowest_pairs", Forgetful(-1))
     with pytest.raises(pj.SolverError, match="missed 1 of the lowest modes"):
-        lowest_modes(jammed(), 10)
+        lowest_modes(jammed(1e-3), 10)
 
 
 def failing(*_):
@@ -314,14 +287,14 @@ def failing(*_):
 
 def test_modes_that_cannot_be_counted_are_not_called_complete(monkeypatch):
     monkeypatch.setattr(modes_module, "pivots_below", failing)
-    m = lowest_modes(jammed(), 10)
+    m = lowest_modes(jammed(1e-3), 10)
     assert m.complete is None
     assert "the modes could not be counted: no memory" in m.notes
 
 
 def test_relaxations_that_cannot_be_counted_are_not_called_complete(monkeypatch):
     monkeypatch.setattr(relaxations_module, "negative_pivots", failing)
-    r = relaxation_modes(jammed(), 10)
+    r = relaxation_modes(jammed(1e-3), 10)
     assert r.complete is None
     assert "the modes could not be counted: no memory" in r.notes
 
@@ -389,57 +362,57 @@ def test_all_modes_soften_the_published_packing_to_its_modulus(prestress):
 @any_strain
 @any_prestress
 def test_all_modes_soften_to_the_modulus(strain, prestress):
-    m = all_modes(jammed(), prestress, strain)
-    g = pj.complex_modulus(jammed(), [1.0], prestress=prestress, strain=strain)
+    m = all_modes(jammed(1e-3), prestress, strain)
+    g = pj.complex_modulus(jammed(1e-3), [1.0], prestress=prestress, strain=strain)
     assert m.G_affine - m.softening.sum() == pytest.approx(g.G0, rel=1e-9)
 
 
 @any_strain
 def test_the_response_of_all_modes_is_that_of_a_dense_solve(strain):
-    K, k, _ = dense(jammed(), True, strain)
+    K, k, _ = dense(jammed(1e-3), True, strain)
     u = -(np.linalg.pinv(K, rcond=1e-12) @ k).reshape(-1, 2)
-    m = all_modes(jammed(), True, strain)
+    m = all_modes(jammed(1e-3), True, strain)
     assert m.response(len(m.eigenvalues)).nonaffine == pytest.approx(u, abs=1e-9 * abs(u).max())
 
 
 @any_strain
 def test_contacts_of_the_response_are_those_of_the_slow_twin(strain):
-    packing = jammed()
+    packing = jammed(1e-3)
     m = all_modes(packing, True, strain)
     parts = m.response(7)
     q = np.zeros(3 * len(packing) + 1)
     q[:-1].reshape(-1)[: 2 * len(packing)].reshape(-1, 2)[m.disks] = parts.nonaffine
     q[-1] = 1.0
-    twin = [np.array(reference.rows(c, packing.radii, strain, arms=0)) @ q for c in contacts(packing)]
+    twin = [np.array(reference.rows(c, packing.radii, strain, arms=0)) @ q for c in twin_contacts(packing)]
     fast = np.stack([parts.parallel, parts.transverse], axis=1)
     order, slow = np.lexsort(fast.T.round(9)), np.array(twin)
     assert fast[order] == pytest.approx(slow[np.lexsort(slow.T.round(9))], abs=1e-10)
 
 
 def test_no_modes_leave_the_affine_motion():
-    parts = all_modes(jammed()).response(0)
-    network = pj.ContactNetwork.of(jammed()).without_rattlers()
+    parts = all_modes(jammed(1e-3)).response(0)
+    network = pj.ContactNetwork.of(jammed(1e-3)).without_rattlers()
     assert (parts.nonaffine == 0).all()
     assert parts.parallel == pytest.approx(network.normal[:, 0] * network.r[:, 1], abs=1e-14)
 
 
 def test_modes_of_a_minimum_soften():
-    assert (all_modes(jammed()).softening >= 0).all()
+    assert (all_modes(jammed(1e-3)).softening >= 0).all()
 
 
 def test_floppiness_is_that_of_the_slow_twin():
-    m, packing = lowest_modes(jammed(), 4), jammed()
+    m, packing = lowest_modes(jammed(1e-3), 4), jammed(1e-3)
     q = np.zeros((4, len(packing), 2))
     q[:, m.disks] = m.vectors
     motions = np.hstack([q.reshape(4, -1), np.zeros((4, len(packing) + 1))])
-    rows = np.array([reference.rows(c, packing.radii, "simple-shear", arms=0) for c in contacts(packing)])
+    rows = np.array([reference.rows(c, packing.radii, "simple-shear", arms=0) for c in twin_contacts(packing)])
     relative = ((rows @ motions.T) ** 2).sum(0)
     assert m.floppiness == pytest.approx(np.sqrt(relative[1] / relative[0]), rel=1e-10)
 
 
 def test_participation_is_the_inverse_of_the_fourth_moment():
     """Vectors have length 1: one disk alone would give 1/n, all alike 1."""
-    m = lowest_modes(jammed(), 6)
+    m = lowest_modes(jammed(1e-3), 6)
     fourth = [np.mean([np.hypot(x, y) ** 4 for x, y in v]) * len(v) ** 2 for v in m.vectors]
     assert m.participation == pytest.approx(1 / np.array(fourth), rel=1e-10)
 
@@ -450,8 +423,8 @@ def test_participation_is_the_inverse_of_the_fourth_moment():
 @pytest.mark.parallel(nprocs=[1, 2, 3])
 @any_prestress
 def test_modes_do_not_depend_on_the_number_of_ranks(comm, prestress):
-    alone = lowest_modes(jammed(), 12, prestress=prestress, comm=MPI.COMM_SELF)
-    m = lowest_modes(jammed(), 12, prestress=prestress, comm=comm)
+    alone = lowest_modes(jammed(1e-3), 12, prestress=prestress, comm=MPI.COMM_SELF)
+    m = lowest_modes(jammed(1e-3), 12, prestress=prestress, comm=comm)
     for name in ("eigenvalues", "participation", "floppiness", "softening"):
         assert getattr(m, name) == pytest.approx(getattr(alone, name), rel=1e-7), name
     assert m.vectors == pytest.approx(alone.vectors, abs=1e-7)
@@ -479,7 +452,7 @@ def test_relaxations_do_not_depend_on_the_number_of_ranks(comm, law):
 def test_a_missed_mode_ends_all_ranks(comm, monkeypatch):
     monkeypatch.setattr(modes_module, "lowest_pairs", Forgetful(-1))
     with pytest.raises(pj.SolverError, match="missed"):
-        lowest_modes(jammed(), 10, comm=comm)
+        lowest_modes(jammed(1e-3), 10, comm=comm)
 
 
 @pytest.fixture
@@ -494,7 +467,7 @@ def one_iteration():
 
 def test_other_settings_behind_the_prefix(one_iteration):
     with pytest.raises(pj.SolverError, match=r"SLEPc found none of \d+ modes"):
-        lowest_modes(jammed(), 10)
+        lowest_modes(jammed(1e-3), 10)
 
 
 @pytest.mark.parametrize("count", [0, -1, 2.5, True, "many"])
@@ -560,12 +533,8 @@ def test_certificates_use_the_same_eigensolver():
 
 def eliminated(packing, law, strain="simple-shear"):
     """K, B, K_uγ and B_uγ on the backbone less its first disk, θ following, by loops and dense algebra."""
-    found, n = contacts(packing), len(packing)
-    K = reference.hessian(found, packing.radii, strain)
-    if isinstance(law, pj.StokesDrag):
-        B = reference.stokes_drag(n, packing.box.area, 0.0, strain)
-    else:
-        B = reference.contact_damping(found, packing.radii, law.beta, law.rotations, strain)
+    n = len(packing)
+    K, B, _ = twin_matrices(packing, law, strain)
     turn = np.arange(2 * n, 3 * n)
     B = B - B[:, turn] @ np.linalg.pinv(B[np.ix_(turn, turn)], rcond=1e-12) @ B[turn]
     backbone = pj.ContactNetwork.of(packing).backbone
@@ -603,7 +572,7 @@ def test_lists_of_relaxations_do_not_depend_on_the_count(make, law):
         assert same_vectors(r, longest), count
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if not law.body], ids=str)
+@pytest.mark.parametrize("law", [law for law in EVERY_LAW if not law.body], ids=str)
 @pytest.mark.parametrize("make", [sixteen, copies])
 def test_slower_relaxations_are_counted(make, law):
     K, B, _, _ = eliminated(make(), law)
@@ -640,8 +609,8 @@ def test_degenerate_relaxations_do_not_depend_on_the_number_of_ranks(comm, law):
 @any_law
 def test_relaxations_do_not_depend_on_the_unit_of_length(law, potential, length):
     stiffness = 1.0 if potential == "harmonic" else length**-2
-    one = relaxation_modes(in_units(jammed(), 1.0, potential), 9, damping=law)
-    r = relaxation_modes(in_units(jammed(), length, potential), 9, damping=law)
+    one = relaxation_modes(in_units(jammed(1e-3), 1.0, potential), 9, damping=law)
+    r = relaxation_modes(in_units(jammed(1e-3), length, potential), 9, damping=law)
     assert r.times * stiffness == pytest.approx(one.times, rel=1e-11)
     assert r.weights / stiffness == pytest.approx(one.weights, rel=1e-8)
     assert r.vectors * stiffness**0.5 == pytest.approx(one.vectors, abs=1e-8 * abs(one.vectors).max())
@@ -661,8 +630,8 @@ def test_all_relaxations_together_are_the_modulus(law, strain):
 
 @any_law
 def test_the_slowest_poles_of_the_spectrum_are_relaxations(law):
-    r = relaxation_modes(jammed(), 40, damping=law)
-    poles = pj.spectrum(jammed(), damping=law, rtol=1e-8).relaxation()
+    r = relaxation_modes(jammed(1e-3), 40, damping=law)
+    poles = pj.spectrum(jammed(1e-3), damping=law, rtol=1e-8).relaxation()
     heavy = poles.weights > 1e-6 * poles.weights.sum()
     slowest = np.argmax(np.where(heavy, poles.times, 0))
     nearest = np.argmin(np.abs(r.times - poles.times[slowest]))
@@ -671,16 +640,16 @@ def test_the_slowest_poles_of_the_spectrum_are_relaxations(law):
 
 
 def test_under_stokes_drag_relaxations_are_modes():
-    r, m = relaxation_modes(jammed(), 9, damping=pj.StokesDrag(2.0)), lowest_modes(jammed(), 9)
+    r, m = relaxation_modes(jammed(1e-3), 9, damping=pj.StokesDrag(2.0)), lowest_modes(jammed(1e-3), 9)
     assert r.times == pytest.approx(1 / m.eigenvalues, rel=1e-9)
     assert r.weights == pytest.approx(m.softening, rel=1e-9)
 
 
 @any_law
 def test_relaxations_are_normalised_by_the_stiffness(law):
-    r = relaxation_modes(jammed(), 9, damping=law)
+    r = relaxation_modes(jammed(1e-3), 9, damping=law)
     v = r.vectors.reshape(9, -1)
-    assert v @ dense(jammed())[0] @ v.T == pytest.approx(np.eye(9), abs=1e-8)
+    assert v @ dense(jammed(1e-3))[0] @ v.T == pytest.approx(np.eye(9), abs=1e-8)
 
 
 @any_law

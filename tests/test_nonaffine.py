@@ -1,26 +1,12 @@
 """Facts that the quasi-static response obeys: published numbers, the dense twin, identities, storage."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from helpers import any_prestress, any_strain, jammed, sixteen, twin_contacts
 
 import petscjam as pj
 from petscjam.reference import linear as reference
 from petscjam.rows.damping import LAWS
-from petscjam.rows.kinematics import STRAINS
-
-DATA = Path(__file__).parent / "data"
-any_prestress = pytest.mark.parametrize("prestress", [True, False])
-any_strain = pytest.mark.parametrize("strain", STRAINS)
-
-
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
-
-
-def jammed(pressure=1e-3, n=64, seed=3):
-    return pj.prepare_packing(n, pressure, seed)
 
 
 @pytest.mark.parametrize(("prestress", "G0"), [(True, 0.1088011), (False, 0.1105622390)])
@@ -35,10 +21,7 @@ def test_median_of_the_non_affine_motion_is_the_one_with_zero_mean():
 
 def dense(packing, prestress, strain):
     """Relax K by least squares, and take Δu from the rows: loops only."""
-    cell, radii = packing.box.cell, packing.radii
-    relative = packing.potential_name != "harmonic"
-    found = reference.contacts(packing.positions, radii, cell, relative=relative)
-    found = reference.without_rattlers(found, len(radii))
+    found, radii = twin_contacts(packing), packing.radii
     K, n = reference.hessian(found, radii, strain, prestress), len(radii)
     Q = np.zeros(3 * n + 1)
     Q[-1] = 1
@@ -53,7 +36,7 @@ def dense(packing, prestress, strain):
 @any_prestress
 @any_strain
 def test_motion_equals_the_slow_twin(prestress, strain):
-    packing = jammed()
+    packing = jammed(1e-3, seed=3)
     r = pj.quasistatic_response(packing, prestress=prestress, strain=strain)
     sizes, u, _ = dense(packing, prestress, strain)
     np.testing.assert_allclose(r.nonaffine, u, atol=1e-9 * abs(u).max())
@@ -64,28 +47,28 @@ def test_motion_equals_the_slow_twin(prestress, strain):
 @any_prestress
 @any_strain
 def test_modulus_is_that_of_the_spectrum(prestress, strain):
-    r = pj.quasistatic_response(jammed(), prestress=prestress, strain=strain)
-    s = pj.spectrum(jammed(), (1e-3, 1.0), prestress=prestress, strain=strain)
+    r = pj.quasistatic_response(jammed(1e-3, seed=3), prestress=prestress, strain=strain)
+    s = pj.spectrum(jammed(1e-3, seed=3), (1e-3, 1.0), prestress=prestress, strain=strain)
     assert r.shear_modulus == pytest.approx(s.G0, rel=1e-8)
 
 
 @any_prestress
 def test_two_terms_of_the_energy_add_up_in_simple_shear(prestress):
-    r = pj.quasistatic_response(jammed(), prestress=prestress)
+    r = pj.quasistatic_response(jammed(1e-3, seed=3), prestress=prestress)
     assert r.stretching + r.pre_stress == pytest.approx(r.shear_modulus, rel=1e-12)
 
 
 def test_pre_stress_term_is_not_positive():
-    assert pj.quasistatic_response(jammed()).pre_stress < 0
+    assert pj.quasistatic_response(jammed(1e-3, seed=3)).pre_stress < 0
 
 
 def test_without_pre_stress_there_is_no_such_term():
-    assert pj.quasistatic_response(jammed(), prestress=False).pre_stress == 0
+    assert pj.quasistatic_response(jammed(1e-3, seed=3), prestress=False).pre_stress == 0
 
 
 @pytest.mark.parametrize("pressure", [1e-2, 1e-4])
 def test_rattlers_are_left_out(pressure):
-    packing = jammed(pressure, n=128, seed=1)
+    packing = jammed(pressure, 128, 1)
     assert packing.certificate.rattlers > 0
     r = pj.quasistatic_response(packing)
     assert len(r.nonaffine) == len(packing) - packing.certificate.rattlers == len(r.disks)
@@ -93,7 +76,7 @@ def test_rattlers_are_left_out(pressure):
 
 
 def test_relative_motion_is_that_of_the_disks():
-    packing = jammed(n=128, seed=1)
+    packing = jammed(1e-3, 128, 1)
     r = pj.quasistatic_response(packing)
     u = np.zeros((len(packing), 2))
     u[r.disks] = r.nonaffine
@@ -104,7 +87,7 @@ def test_relative_motion_is_that_of_the_disks():
 
 @pytest.mark.parallel(nprocs=[1, 2, 3])
 def test_it_does_not_depend_on_the_ranks(comm):
-    packing = comm.bcast(jammed(n=128, seed=1) if comm.rank == 0 else None)
+    packing = comm.bcast(jammed(1e-3, 128, 1) if comm.rank == 0 else None)
     r, alone = pj.quasistatic_response(packing, comm=comm), pj.quasistatic_response(packing)
     np.testing.assert_allclose(r.nonaffine, alone.nonaffine, atol=1e-11 * abs(alone.nonaffine).max())
     np.testing.assert_allclose(r.transverse, alone.transverse, atol=1e-10)
@@ -118,8 +101,8 @@ def test_unknown_strain_is_named():
 @any_prestress
 @pytest.mark.parametrize("law", [law() for law in LAWS.values()], ids=str)
 def test_viscosity_is_that_of_the_spectrum(law, prestress):
-    v = pj.viscosity(jammed(), damping=law, prestress=prestress)
-    s = pj.spectrum(jammed(), damping=law, prestress=prestress)
+    v = pj.viscosity(jammed(1e-3, seed=3), damping=law, prestress=prestress)
+    s = pj.spectrum(jammed(1e-3, seed=3), damping=law, prestress=prestress)
     assert v.eta0 == pytest.approx(s.eta0, rel=1e-6)
     assert v.G0 == pytest.approx(s.G0, rel=1e-6)
 
@@ -140,8 +123,8 @@ def test_published_viscosities(law, prestress, eta0):
 
 def results():
     return {
-        "nonaffine": pj.quasistatic_response(jammed()),
-        "viscosity": pj.viscosity(jammed(), damping=pj.StokesDrag(2.0)),
+        "nonaffine": pj.quasistatic_response(jammed(1e-3, seed=3)),
+        "viscosity": pj.viscosity(jammed(1e-3, seed=3), damping=pj.StokesDrag(2.0)),
     }
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import sixteen
 
 import petscjam as pj
 from petscjam.base.arguments import Within, path
@@ -23,7 +24,6 @@ from petscjam.md import protocols
 from petscjam.md.runs import run
 from petscjam.parallel import memory
 
-DATA = Path(__file__).parent / "data"
 ABSURD = """
 0 -1 1e-320 -1e-320 1e-30 1e-9 1e9 1e22 1e300 -1e300 1e999 nan inf x 0.5 1 2 3 2147483648 9223372036854775807
 9223372036854775808 18446744073709551616 1,2 1:2:3 1:2 1e-300:1e300:5 1:1e300:1000 1:2:10000000 3:1:2 , :
@@ -40,7 +40,7 @@ GIVEN = ("output", "config", "help", "start", "parameters")  # files, and what d
 def folder(tmp_path_factory):
     """A small input of every kind."""
     at = tmp_path_factory.mktemp("inputs")
-    pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt").write(at / "packing.h5")
+    sixteen().write(at / "packing.h5")
     assert main(["moduli", str(at / "packing.h5"), "--omega", "1e-2:1:3", "-o", str(at / "modulus.h5")]) == 0
     pj.md.shear(n=16, phi=0.8, rate=1e-2, strain=0.02, output=at / "run.h5")
     return at

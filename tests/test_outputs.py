@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import helpers
 import pytest
+from helpers import SIXTEEN
 
 import petscjam as pj
 from petscjam.base.errors import InputError
@@ -14,7 +16,6 @@ from petscjam.base.files import check_output, write_atomically
 from petscjam.cli import main
 
 pytestmark = pytest.mark.parallel(nprocs=1)
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 SHEAR = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2"]
 
 
@@ -34,11 +35,7 @@ def refused(capfd, *arguments):
     """Run, expect exit status 2, one line on standard error and no change of any file; return the line."""
     here = Path(arguments[-1]).parent
     before = content(here)
-    capfd.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1, err
+    err = helpers.refused(capfd, *arguments)
     assert content(here) == before
     return err
 

@@ -4,10 +4,10 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import jammed, sixteen
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
@@ -17,14 +17,13 @@ from petscjam.plots import plot_library, plot_packing
 from petscjam.plots.library import _draw_curves, _draw_density, _draw_excess, _draw_lowest, _sizes, _summary
 from petscjam.plots.packing import draw_packing
 
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
 SIGNATURES = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "": b"\x89PNG"}
 TILTED = pj.Box([[3.0, 0.5], [-7.0, 4.0]])
 
 
 @pytest.fixture(scope="module")
 def packing():
-    return pj.prepare_packing(64, 1e-2, 3)
+    return jammed(seed=3)
 
 
 def row(n=64, p=1e-3, **others):
@@ -189,7 +188,7 @@ def test_disks_that_do_not_touch_are_drawn_too(tmp_path):
 
 
 def test_a_tilted_packing_from_elsewhere(tmp_path):
-    plot_packing(pj.import_packing(SIXTEEN), tmp_path / "sixteen.png")
+    plot_packing(sixteen(), tmp_path / "sixteen.png")
 
 
 HISTORY = {

@@ -5,17 +5,16 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import jax_md, sixteen
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.geometry.box import Box
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.potential import POTENTIALS
-from petscjam.io.importers import import_packing
 from petscjam.preparation.certify import certify, elastic_tensor, hessian, negative_modes
 from petscjam.preparation.minimise import METHODS, Enthalpy
 from petscjam.preparation.newton import newton
@@ -23,7 +22,6 @@ from petscjam.preparation.prepare import prepare_packing, relax_packing
 from petscjam.preparation.records import Goal
 from petscjam.response.moduli import complex_modulus
 
-DATA = Path(__file__).parent / "data"
 P = 1e-3
 EPS = np.finfo(float).eps
 CASES = [
@@ -352,7 +350,7 @@ def test_proved_packings_have_no_negative_dense_eigenvalue(pressure, seed):
 
 def test_a_packing_of_jambashbulk_is_proved_and_stays():
     """Another program stabilised it against shear: relaxing size and shape of the cell moves nothing."""
-    packing = import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
+    packing = sixteen()
     relaxed = relax_packing(packing, 1e-3, shear_stabilised=True)
     assert certify(packing).certificate.proved and relaxed.certificate.proved
     assert abs(relaxed.box.cell - packing.box.cell).max() < 1e-9
@@ -361,7 +359,7 @@ def test_a_packing_of_jambashbulk_is_proved_and_stays():
 
 @pytest.mark.parametrize("index", range(0, 10, 3))
 def test_packings_of_jaxmd_are_minima_at_their_volume(index):
-    packing = import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
+    packing = jax_md(index)
     relaxed = relax_packing(packing)
     assert relaxed.certificate.proved
     assert abs(packing.box.minimum_image(relaxed.positions - packing.positions)).max() < 1e-6

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from helpers import COMMAND, SIXTEEN, sixteen
 
 import petscjam as pj
 from petscjam.cli import main
@@ -18,14 +19,11 @@ from petscjam.cli.streams import Stream
 from petscjam.parallel import solver
 from petscjam.parallel.solver import DirectSolver
 
-COMMAND = [sys.executable, "-m", "petscjam"]
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
-
 
 @pytest.fixture
 def packing(tmp_path):
     path = tmp_path / "sixteen.h5"
-    pj.import_packing(SIXTEEN).write(path)
+    sixteen().write(path)
     return path
 
 
@@ -306,7 +304,7 @@ def test_a_factor_out_of_core_leaves_nothing_behind(comm, tmp_path, monkeypatch)
     """Nor after an interrupt, and the folder is that which was asked for."""
     folder = Path(comm.bcast(str(tmp_path)))
     monkeypatch.setenv("MUMPS_OOC_TMPDIR", str(folder))
-    found = pj.import_packing(SIXTEEN)
+    found = sixteen()
     seen, factor = [], DirectSolver.factor
 
     def factored(self, A):

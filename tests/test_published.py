@@ -1,15 +1,13 @@
 """Numbers that other programs published, on one rank and on several."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from helpers import JAXMD, jax_md, sixteen, twin_contacts
 
 import petscjam as pj
 from petscjam.base.files import open_h5
 from petscjam.reference import linear as reference
 
-DATA = Path(__file__).parent / "data"
 OMEGA = [1e-3, 1e-1, 1.0, 10.0]
 
 # two programs written apart agree on every digit: G*(ω) and η0
@@ -73,35 +71,30 @@ TABLE = {
 PRINTED = 0.6e-10  # the table gives ten decimals, η0 nine
 
 
-@pytest.fixture(scope="module")
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
-
-
 @pytest.mark.parallel(nprocs=[1, 2, 3])
 @pytest.mark.parametrize("case", TABLE)
-def test_modulus_of_sixteen_disks_to_every_digit(sixteen, comm, case):
+def test_modulus_of_sixteen_disks_to_every_digit(comm, case):
     law, prestress, expected, _ = TABLE[case]
-    g = pj.complex_modulus(sixteen, OMEGA, damping=law, prestress=prestress, comm=comm)
+    g = pj.complex_modulus(sixteen(), OMEGA, damping=law, prestress=prestress, comm=comm)
     assert np.abs(g.values.real - np.real(expected)).max() <= PRINTED
     assert np.abs(g.values.imag - np.imag(expected)).max() <= PRINTED
 
 
 @pytest.mark.parallel(nprocs=[1, 2, 3])
 @pytest.mark.parametrize("case", TABLE)
-def test_viscosity_of_sixteen_disks_to_every_digit(sixteen, comm, case):
+def test_viscosity_of_sixteen_disks_to_every_digit(comm, case):
     law, prestress, _, expected = TABLE[case]
-    g = pj.complex_modulus(sixteen, OMEGA, damping=law, prestress=prestress, comm=comm)
+    g = pj.complex_modulus(sixteen(), OMEGA, damping=law, prestress=prestress, comm=comm)
     assert abs(g.eta0 - expected) <= 10 * PRINTED
 
 
-def test_shear_modulus_is_that_of_its_own_shear_log(sixteen):
-    assert pj.complex_modulus(sixteen, [1.0]).G0 == pytest.approx(0.1088011, abs=5e-8)
+def test_shear_modulus_is_that_of_its_own_shear_log():
+    assert pj.complex_modulus(sixteen(), [1.0]).G0 == pytest.approx(0.1088011, abs=5e-8)
 
 
 @pytest.mark.parametrize("omega", [1e-6, *OMEGA, 1e4])
-def test_without_tangential_damping_and_prestress_it_is_a_kelvin_voigt_solid(sixteen, omega):
-    g = pj.complex_modulus(sixteen, [omega], damping=pj.ContactDamping(beta=0.0), prestress=False)
+def test_without_tangential_damping_and_prestress_it_is_a_kelvin_voigt_solid(omega):
+    g = pj.complex_modulus(sixteen(), [omega], damping=pj.ContactDamping(beta=0.0), prestress=False)
     assert g.G0 == pytest.approx(0.1105622390, abs=PRINTED)
     assert g.values[0] == pytest.approx(g.G0 * (1 + 1j * omega), rel=1e-12)
 
@@ -110,25 +103,25 @@ def test_without_tangential_damping_and_prestress_it_is_a_kelvin_voigt_solid(six
     ("prestress", "expected"),
     [(True, [0.0595119881, 0.1284532830, 0.1912115675]), (False, [0.0612012380, 0.1307559102, 0.1938721026])],
 )
-def test_lowest_eigenvalues_of_the_slow_twin(sixteen, prestress, expected):
-    found = reference.contacts(sixteen.positions, sixteen.radii, sixteen.box.cell)
-    K = reference.hessian(found, sixteen.radii, prestress=prestress)
+def test_lowest_eigenvalues_of_the_slow_twin(prestress, expected):
+    found = twin_contacts(sixteen())
+    K = reference.hessian(found, sixteen().radii, prestress=prestress)
     assert np.linalg.eigvalsh(K[:32, :32])[2:5] == pytest.approx(expected, abs=PRINTED)
 
 
 @pytest.mark.parallel(nprocs=[1, 2])
 @pytest.mark.parametrize("index", range(10))
 def test_elastic_constants_of_jax_md(comm, index):
-    packing = pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
-    with open_h5(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc") as h5:
+    packing = jax_md(index)
+    with open_h5(JAXMD) as h5:
         stored = h5["Cijkl"][index]
     C = pj.elastic_constants(packing, comm=comm)
     ours = [C[0, 0], C[1, 1], C[2, 2], C[0, 1], C[0, 2], C[1, 2]]
     assert ours == pytest.approx(stored, rel=1e-9, abs=1e-12)
 
 
-def test_symmetric_and_simple_shear_differ_by_the_pressure(sixteen):
-    packing = pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", 0)
+def test_symmetric_and_simple_shear_differ_by_the_pressure():
+    packing = jax_md()
     p = pj.ContactNetwork.of(packing).stress
     simple = pj.complex_modulus(packing, [1.0]).G0
     assert simple == pytest.approx(0.2071122, abs=5e-8)

@@ -4,14 +4,14 @@ from inspect import signature
 from pathlib import Path
 
 import pytest
+from helpers import SIXTEEN, sixteen
 
 import petscjam as pj
 from petscjam.figures import Request, make_figure
 from petscjam.io.jobs import Ensemble, ModulusAnalysis, PackingAnalysis, analyse
 from petscjam.md.grid import grid, run_grid
 
-SIXTEEN = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
-PACKING = pj.import_packing(SIXTEEN)
+PACKING = sixteen()
 OTHER = pj.Packing(PACKING.positions, 1.01 * PACKING.radii, PACKING.box, PACKING.potential_name)
 SPAN = (1e-2, 1.0)
 

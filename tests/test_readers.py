@@ -11,10 +11,11 @@ import gsd.hoomd
 import h5py
 import numpy as np
 import pytest
+from helpers import SIXTEEN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import netcdf_file
-from test_io import JAMBASH, refuses, same_bits
+from test_io import refuses, same_bits
 
 import petscjam as pj
 from petscjam.base.arguments import parsed, parsed_whole
@@ -80,7 +81,7 @@ def write(tmp_path):
 
 @pytest.fixture
 def packing():
-    return import_packing(JAMBASH)
+    return import_packing(SIXTEEN)
 
 
 def is_it(found, positions=POSITIONS, cell=CELL, radii=RADII):
@@ -132,7 +133,7 @@ def test_underscores_are_refused_in_options(tmp_path, capfd, options):
 # Bytes before the text, and around it
 
 
-@pytest.mark.parametrize("text", [*TEXTS.values(), JAMBASH.read_text()], ids=[*TEXTS, "jamBashBulk"])
+@pytest.mark.parametrize("text", [*TEXTS.values(), SIXTEEN.read_text()], ids=[*TEXTS, "jamBashBulk"])
 @pytest.mark.parametrize("before", [b"\xef\xbb\xbf", b"\n", b"\r\n \n", b"\xef\xbb\xbf\n"])
 def test_byte_order_mark_and_blank_lines(write, text, before):
     if text == DATA and b"\n" in before:
@@ -550,7 +551,7 @@ def test_diameters_that_do_not_fit_the_types(tmp_path, name):
         refuses(path, *words, read=lambda path, diameters=diameters: import_packing(path, diameters=diameters))
 
 
-@pytest.mark.parametrize("text", [*TEXTS.values(), JAMBASH.read_text()], ids=[*TEXTS, "jamBashBulk"])
+@pytest.mark.parametrize("text", [*TEXTS.values(), SIXTEEN.read_text()], ids=[*TEXTS, "jamBashBulk"])
 def test_diameters_beside_radii(write, text):
     refuses(write(text), "has radii", read=lambda path: import_packing(path, diameters={"1": 1.0, "2": 1.4}))
 
@@ -784,7 +785,7 @@ def test_the_command_names_the_cause(write, packing, tmp_path, capfd):
     assert f"warning: {path}: the forces do not balance: up to " in err
     assert "positions of 6 digits" in err
     assert "--relax" in err
-    assert main(["import", str(JAMBASH), "-o", str(out), "--overwrite"]) == 0
+    assert main(["import", str(SIXTEEN), "-o", str(out), "--overwrite"]) == 0
     assert capfd.readouterr().err == ""
 
 
@@ -900,7 +901,7 @@ def test_another_ending_than_any_goes_with_a_format(packing, tmp_path):
 
 
 def test_import_writes_no_packing_into_a_file_of_another_ending(tmp_path, capfd):
-    assert main(["import", str(JAMBASH), "-o", str(tmp_path / "p.xyz")]) == 2
+    assert main(["import", str(SIXTEEN), "-o", str(tmp_path / "p.xyz")]) == 2
     assert "xyz, not of h5md" in capfd.readouterr().err
 
 

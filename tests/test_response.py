@@ -2,43 +2,19 @@
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
+import helpers
 import numpy as np
 import pytest
+from helpers import jax_md, sixteen, square_lattice, triangular_lattice, twin_contacts, twin_matrices, with_a_rattler
 
 import petscjam as pj
 from petscjam.reference import linear as reference
 from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
 
-DATA = Path(__file__).parent / "data"
 OMEGA = np.geomspace(1e-4, 1e3, 8)
-EVERY_LAW = [
-    pj.ContactDamping(),
-    pj.ContactDamping(rotations=False),
-    pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(beta=0.03),
-    pj.StokesDrag(eta_fluid=0.5),
-    pj.StokesDrag(eta_fluid=0.0),
-]
-
-
-def jax_md(index=0):
-    return pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
-
-
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
-
-
-def with_a_rattler():
-    """The sixteen disks, and in a hole between them a small seventeenth that touches nobody."""
-    packing = sixteen()
-    grid = packing.box.cell.T @ np.mgrid[0:1:60j, 0:1:60j].reshape(2, -1)
-    gaps = [(np.hypot(*packing.box.minimum_image(packing.positions - x).T) - packing.radii).min() for x in grid.T]
-    x, gap = grid.T[np.argmax(gaps)], max(gaps)
-    return replace(packing, positions=[*packing.positions, x], radii=[*packing.radii, 0.9 * gap], provenance={})
+EVERY_LAW = [*helpers.EVERY_LAW, pj.StokesDrag(eta_fluid=0.0)]
 
 
 def touching_rattler(overlap=1e-9):
@@ -51,18 +27,10 @@ def touching_rattler(overlap=1e-9):
 
 def twin(packing, law, omega, strain, prestress):
     """G* by the slow twin; rattlers go for contact damping and stay for drag."""
-    relative = packing.potential_name == "harmonic-relative"
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative)
-    if law.body:
-        B = reference.stokes_drag(len(packing), packing.box.area, law.fluid, strain)
-    else:
-        found = reference.without_rattlers(found, len(packing))
-        B = reference.contact_damping(found, packing.radii, law.beta, law.rotations, strain)
-    K = reference.hessian(found, packing.radii, strain, prestress)
+    K, B, p = twin_matrices(packing, law, strain, prestress)
     G = np.array([reference.modulus(K, B, w, packing.box.area) for w in omega])
     if strain == "compression":
-        p = sum(c.force * np.hypot(c.rx, c.ry) for c in found) / (2 * packing.box.area)
-        G = (G + 2 * p * prestress) / 4
+        G = (G + 2 * p) / 4
     return G
 
 
@@ -88,7 +56,7 @@ def test_every_law_is_tested():
 @pytest.mark.parametrize("index", range(3))
 def test_stokes_drag_is_its_modal_sum(index):
     packing = jax_md(index)
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative=True)
+    found = twin_contacts(packing, rattlers=True)
     K = reference.hessian(found, packing.radii)
     by_hand = [reference.stokes_modal_sum(K, w, packing.box.area, 0.7) for w in OMEGA]
     g = pj.complex_modulus(packing, OMEGA, damping=pj.StokesDrag(0.7))
@@ -240,12 +208,6 @@ def test_any_periodic_image_of_a_disk_will_do():
     assert after == pytest.approx(before, rel=1e-10)
 
 
-def square_lattice(columns, rows):
-    """Disks of radius ½ that overlap by 1 %: no cycle of contacts is odd if both numbers are even."""
-    grid = 0.99 * np.mgrid[0:columns, 0:rows].reshape(2, -1).T
-    return pj.Packing(grid, np.full(columns * rows, 0.5), pj.Box(0.99 * np.diag([columns, rows])))
-
-
 @pytest.mark.parametrize("size", [(2, 2), (4, 4), (3, 4), (3, 3)], ids=str)
 def test_square_lattice_with_and_without_gears(size):
     """Counter-rotation costs nothing on an even lattice; sliding then cannot be rolled away by it.
@@ -367,7 +329,7 @@ def test_the_user_can_bring_pivoting_back(workspace):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solver, "DirectSolver", Watched)
-        pj.complex_modulus(triangles(6), [0.1, 1.0, 10.0], prestress=False)
+        pj.complex_modulus(triangular_lattice(6), [0.1, 1.0, 10.0], prestress=False)
     assert seen[:4] == [0.25] * 4
 
 
@@ -388,7 +350,7 @@ def test_bad_laws_are_refused(make):
 def test_workspace_that_is_too_small_is_enlarged(workspace):
     """MUMPS asked for less than half of what it needs (INFOG(1) = −9): the retry succeeds."""
     workspace("mat_mumps_icntl_14", -60)
-    g = pj.complex_modulus(triangles(12), [0.1, 1.0], prestress=False)
+    g = pj.complex_modulus(triangular_lattice(12), [0.1, 1.0], prestress=False)
     assert g.residuals.max() < 1e-12
 
 
@@ -396,7 +358,7 @@ def test_a_failure_of_mumps_is_explained(workspace):
     """No more than a megabyte (ICNTL(23)) will not do for this many disks."""
     workspace("mat_mumps_icntl_23", 1)
     with pytest.raises(pj.SolverError, match=r"INFOG\(1\) = -\d+"):
-        pj.complex_modulus(triangles(40), [0.1])
+        pj.complex_modulus(triangular_lattice(40), [0.1])
 
 
 @pytest.fixture
@@ -413,13 +375,6 @@ def workspace():
     yield set_option
     for name in names:
         options.delValue(name)
-
-
-def triangles(n):
-    """A triangular lattice of n × n disks under 1 % of overlap."""
-    a, b = 0.99 * np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
-    i, j = np.mgrid[0:n, 0:n].reshape(2, -1, 1)
-    return pj.Packing(i * a + j * b, np.full(n * n, 0.5), pj.Box([n * a, n * b]))
 
 
 def test_unknown_strain_is_refused():

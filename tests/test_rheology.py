@@ -1,20 +1,18 @@
 """Files for rheologists' programs hold the numbers of the model, and read back by the rules of RepTate."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from helpers import sixteen
 
 import petscjam as pj
 
-DATA = Path(__file__).parent / "data"
 SPAN = (1e-6, 1e2)
 NEEDED = {"tts": (("w", "G'", "G''"), ("Mw", "T")), "gt": (("t", "Gt"), ("Mw", "gamma"))}
 
 
 @pytest.fixture(scope="module")
 def packing():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
+    return sixteen()
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,10 @@
 
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import sixteen
 
 import petscjam as pj
 from petscjam.analysis.scaling import (
@@ -21,7 +21,6 @@ from petscjam.analysis.scaling import (
     quality,
 )
 
-DATA = Path(__file__).parent / "data"
 P = np.geomspace(1e-5, 1e-2, 7)
 
 
@@ -211,7 +210,7 @@ def test_a_local_slope_is_off_by_the_square_of_its_step():
 
 
 def test_a_solid_of_kelvin_and_voigt_has_slopes_0_and_1():
-    packing = pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
+    packing = sixteen()
     s = pj.spectrum(packing, (1e-4, 1e2), damping=pj.ContactDamping(beta=0.0), prestress=False)
     omega = np.geomspace(1e-3, 1e1, 9)
     assert local_slope(lambda w: s(w).real, omega) == pytest.approx(0, abs=1e-7)

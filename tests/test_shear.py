@@ -9,7 +9,7 @@ from functools import cache
 import h5py
 import numpy as np
 import pytest
-from conftest import names
+from helpers import names
 
 import petscjam as pj
 from petscjam.base.errors import DoubtfulWarning, InputError

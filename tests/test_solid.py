@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
+import helpers
 import numpy as np
 import pytest
+from helpers import DATA, any_prestress, any_strain
 
 import petscjam as pj
 from petscjam.analysis.statistics import average
@@ -18,16 +19,13 @@ from petscjam.plots.tables import describe_packing, table
 from petscjam.preparation.certify import certify
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.damping import LAWS
-from petscjam.rows.kinematics import STRAINS, strain_mode
+from petscjam.rows.kinematics import strain_mode
 
-DATA = Path(__file__).parent / "data"
 A = 0.99  # distance of neighbours of diameter 1
 OMEGA = np.array([1e-3, 0.1, 10.0])
-any_prestress = pytest.mark.parametrize("prestress", [True, False])
 contact_laws = pytest.mark.parametrize(
     "law", [pj.ContactDamping(), pj.ContactDamping(0.0), pj.ContactDamping(rotations=False)], ids=str
 )
-any_strain = pytest.mark.parametrize("strain", STRAINS)
 
 
 def disks(positions, cell):
@@ -86,7 +84,7 @@ def lattice(name, times=3, turn=0.0):
 
 @cache
 def jammed(seed=1):
-    return pj.prepare_packing(64, 1e-2, seed, shear_stabilised=True)
+    return helpers.jammed(seed=seed, shear_stabilised=True)
 
 
 @cache

@@ -2,11 +2,22 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from pathlib import Path
 from typing import ClassVar
 
+import helpers
 import numpy as np
 import pytest
+from helpers import (
+    any_prestress,
+    any_strain,
+    jammed,
+    jax_md,
+    sixteen,
+    triangular_lattice,
+    twin_contacts,
+    twin_matrices,
+    with_a_rattler,
+)
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -16,19 +27,10 @@ from test_published import OMEGA, PRINTED, TABLE
 import petscjam as pj
 from petscjam.reference import linear as reference
 from petscjam.rows.damping import LAWS, DampingLaw
-from petscjam.rows.kinematics import STRAINS
 
-DATA = Path(__file__).parent / "data"
 SPAN = (1e-8, 1e2)
 NARROW = (1e-3, 1e-1)
-EVERY_LAW = [
-    pj.ContactDamping(),
-    pj.ContactDamping(beta=0.01),
-    pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(rotations=False),
-    pj.StokesDrag(eta_fluid=1.0),
-    pj.StokesDrag(eta_fluid=0.0),
-]
+EVERY_LAW = [*helpers.EVERY_LAW, pj.StokesDrag(eta_fluid=0.0)]
 TWO_LAWS = [pj.ContactDamping(), pj.StokesDrag(eta_fluid=1.0)]
 PRESSURES = [1e-2, 1e-5]
 TOLERANCES = [1e-2, 1e-5]  # loose: the errors are large enough to be seen
@@ -36,24 +38,7 @@ DIRECT = 1e-11  # allowed for the direct solve: at p = 1e-5 rounding alone moves
 
 any_law = pytest.mark.parametrize("law", EVERY_LAW, ids=str)
 two_laws = pytest.mark.parametrize("law", TWO_LAWS, ids=str)
-any_strain = pytest.mark.parametrize("strain", STRAINS)
-any_prestress = pytest.mark.parametrize("prestress", [True, False])
 any_pressure = pytest.mark.parametrize("pressure", PRESSURES)
-
-
-@cache
-def sixteen():
-    return pj.import_packing(DATA / "jambashbulk-N16-P1e-3-0001.txt")
-
-
-@cache
-def jax_md(index=0):
-    return pj.import_packing(DATA / "jaxmd-2d-polyuniform-N64-Lp-1.nc", index)
-
-
-@cache
-def jammed(pressure, n=64, seed=7):
-    return pj.prepare_packing(n, pressure, seed)
 
 
 @cache
@@ -289,15 +274,6 @@ def test_the_bounds_on_the_parts_are_relative_to_the_true_ones(law):
         assert (np.abs(ours - exact) <= bound * np.abs(exact) + DIRECT * np.abs(g.values)).all()
 
 
-def with_a_rattler():
-    """The sixteen disks and, in the middle of three of them, a small one that touches nobody."""
-    packing = sixteen()
-    grid = np.mgrid[0:1:60j, 0:1:60j].reshape(2, -1).T @ packing.box.cell
-    gaps = [(np.hypot(*packing.box.minimum_image(packing.positions - x).T) - packing.radii).min() for x in grid]
-    radii = [*packing.radii, 0.9 * max(gaps)]
-    return replace(packing, positions=[*packing.positions, grid[np.argmax(gaps)]], radii=radii, provenance={})
-
-
 @pytest.mark.parametrize("rtol", [0.1, *TOLERANCES])
 @two_laws
 def test_a_rattler_does_not_spoil_the_bound(law, rtol):
@@ -352,10 +328,7 @@ def test_a_tolerance_below_rounding_is_met_or_called_so():
 @pytest.mark.parametrize("law", TWO_LAWS, ids=str)
 def test_a_crystal_moves_as_the_cell_does(law, span):
     """A triangular lattice: no motion beyond the affine one but rounding, so nothing to learn."""
-    a, b = 0.99 * np.array([[1.0, 0.0], [0.5, 0.75**0.5]])
-    i, j = np.mgrid[0:6, 0:6].reshape(2, -1, 1)
-    crystal = pj.Packing(i * a + j * b, np.full(36, 0.5), pj.Box([6 * a, 6 * b]))
-    s = pj.spectrum(crystal, span, damping=law, prestress=False)
+    s = pj.spectrum(triangular_lattice(6), span, damping=law, prestress=False)
     assert s.error(np.geomspace(*span, 30)).max() <= 1e-12
     assert s.factorisations <= 3
 
@@ -365,19 +338,11 @@ def test_a_crystal_moves_as_the_cell_does(law, span):
 
 def dense(packing, law, strain="simple-shear", prestress=True):
     """K and B of the slow twin on the unknowns, γ last, and p; where B sees no translation a disk is held."""
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, images=1)
-    held = []
-    if law.body:
-        B = reference.stokes_drag(len(packing), packing.box.area, law.fluid, strain)
-    else:
-        found = reference.without_rattlers(found, len(packing))
-        B = reference.contact_damping(found, packing.radii, law.beta, law.rotations, strain)
-        first = min(min(c.i, c.j) for c in found)
-        held = [2 * first, 2 * first + 1]
-    K = reference.hessian(found, packing.radii, strain, prestress)
+    K, B, pressure = twin_matrices(packing, law, strain, prestress)
+    first = min(min(c.i, c.j) for c in twin_contacts(packing))
+    held = [] if law.body else [2 * first, 2 * first + 1]
     free = (np.diag(K) != 0) | (np.diag(B) != 0)
     free[-1], free[held] = True, False
-    pressure = prestress * sum(c.force * np.hypot(c.rx, c.ry) for c in found) / (2 * packing.box.area)
     return K[np.ix_(free, free)], B[np.ix_(free, free)], pressure
 
 
@@ -527,8 +492,7 @@ def test_the_power_balance_closes(law):
 @pytest.mark.parametrize("seed", range(3))
 def test_stokes_drag_is_its_modal_sum(seed):
     packing = jammed(1e-2, 32, seed)
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, images=1)
-    K = reference.hessian(found, packing.radii)
+    K = reference.hessian(twin_contacts(packing, rattlers=True), packing.radii)
     omega = random_frequencies(SPAN, 20, seed)
     by_hand = np.array([reference.stokes_modal_sum(K, w, packing.box.area, 0.7) for w in omega])
     for rtol in TOLERANCES:

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from conftest import names
+from helpers import names, refused
 
 import petscjam as pj
 from petscjam.analysis.viscosity import Viscosity
@@ -15,8 +15,6 @@ from petscjam.cli import main
 from petscjam.io.jobs import Ensemble, PackingAnalysis, analyse
 from petscjam.io.kinds import KINDS, class_of, recognise
 from petscjam.io.results import inventory, read_results
-from petscjam.parallel.comm import on_root
-from petscjam.parallel.petsc import start
 from petscjam.response.origin import Result
 
 OMEGA, STRESS, ALPHA = np.array([1e-3, 1.0]), 1e-3, 0.5
@@ -58,18 +56,8 @@ def analysed(files, output, function, comm, log=lambda line: None, **options):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Return a folder of three packings of 64 disks, stable against shear, made by rank 0."""
-    from mpi4py import MPI
-
-    def prepare():
-        path = tmp_path_factory.mktemp("packings")
-        for seed in (1, 2, 3):
-            pj.prepare_packing(64, 1e-2, seed, shear_stabilised=True).write(path / f"p{seed}.h5")
-        return path
-
-    start(MPI.COMM_WORLD)  # as the command does before any rank is on its own
-    return on_root(MPI.COMM_WORLD, prepare)
+def folder(three_packings):
+    return three_packings
 
 
 @pytest.fixture(scope="module")
@@ -101,16 +89,6 @@ def copy(file, tmp_path):
 
 def run(*arguments):
     return main([str(a) for a in arguments])
-
-
-def refused(capfd, *arguments):
-    """Run, expect exit status 2 and one line on standard error; return it."""
-    capfd.readouterr()
-    assert run(*arguments) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1, err
-    return err
 
 
 def assert_same(ours, theirs, rtol):

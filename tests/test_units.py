@@ -8,18 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import any_law, any_prestress, jammed
 
 import petscjam as pj
 from petscjam.geometry.potential import POTENTIALS
 
 FACTORS = [1e-9, 1e9]
-EVERY_LAW = [
-    pj.ContactDamping(),
-    pj.ContactDamping(beta=0.01),
-    pj.ContactDamping(beta=0.0),
-    pj.ContactDamping(rotations=False),
-    pj.StokesDrag(eta_fluid=1.0),
-]
 TWO_POTENTIALS = ["harmonic", "hertzian-relative"]  # one length unit changes the forces, one does not
 OMEGA = np.geomspace(1e-6, 1e1, 15)
 CLOSE = {"rel": 1e-8}  # rounding of positions moves overlaps of 1e-2 d by 1e-14, and soft motions by more
@@ -28,12 +22,11 @@ DIRECT = 1e-10  # what rounding of direct solves moves G* by
 any_factor = pytest.mark.parametrize("s", FACTORS)
 any_potential = pytest.mark.parametrize("name", POTENTIALS)
 two_potentials = pytest.mark.parametrize("name", TWO_POTENTIALS)
-any_law = pytest.mark.parametrize("law", EVERY_LAW, ids=str)
 
 
 @cache
 def packing(name, n=64, seed=3, pressure=1e-2):
-    return pj.prepare_packing(n, pressure, seed, potential_name=name, shear_stabilised=True)
+    return jammed(pressure, n, seed, potential_name=name, shear_stabilised=True)
 
 
 @cache
@@ -148,7 +141,7 @@ def test_relaxations_in_time(name, s):
 
 
 @any_factor
-@pytest.mark.parametrize("prestress", [True, False])
+@any_prestress
 @any_potential
 def test_quasistatic(name, prestress, s):
     p, q, c = both(name, s)
