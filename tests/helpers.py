@@ -123,9 +123,5 @@ def refused(capfd, *arguments):
 
 
 def contents(folder, pattern="*"):
-    """Return the bytes of every file below a folder, by path."""
-    return {path: path.read_bytes() for path in sorted(folder.rglob(pattern)) if path.is_file()}
-
-
-def is_png(path):
-    return path.read_bytes().startswith(b"\x89PNG")
+    """Return the bytes of every file below a folder, by its path in there."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob(pattern) if path.is_file()}

@@ -11,7 +11,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from helpers import names, refused
+from helpers import contents, names, refused
 
 import petscjam as pj
 import petscjam.plots
@@ -36,10 +36,6 @@ def folder(tmp_path):
     """A library of three packings."""
     pj.prepare_library(tmp_path / "lib", [16], [1e-2], [1, 2, 3])
     return tmp_path / "lib"
-
-
-def packings(folder):
-    return {file.name: file.read_bytes() for file in folder.glob("*.h5")}
 
 
 # --- teams ------------------------------------------------------------------------------------------------
@@ -163,7 +159,7 @@ def test_disks_on_one_point_are_named(folder):
 def test_files_keep_no_time(folder, tmp_path):
     time.sleep(1.1)  # HDF5 would count seconds
     pj.prepare_library(tmp_path / "later", [16], [1e-2], [1, 2, 3])
-    assert packings(tmp_path / "later") == packings(folder)
+    assert contents(tmp_path / "later", "*.h5") == contents(folder, "*.h5")
 
 
 def test_the_table_counts_and_averages(tmp_path):
@@ -184,29 +180,29 @@ def test_the_table_counts_and_averages(tmp_path):
 
 
 def test_resume_makes_what_is_missing_and_nothing_else(folder, capfd):
-    before = packings(folder)
+    before = contents(folder, "*.h5")
     (folder / "N16_p0.01_s0002.h5").unlink()
     library = pj.prepare_library(folder, [16], [1e-2], [1, 2, 3], resume=True)
     assert library.tried == {"N16_p0.01_s0002.h5"}
-    assert packings(folder) == before
+    assert contents(folder, "*.h5") == before
 
 
 def test_a_family_with_gaps_resumes_to_the_same_bits(tmp_path):
     folder = tmp_path / "lib"
     pj.prepare_library(folder, **FAMILY)
-    before = packings(folder)
+    before = contents(folder, "*.h5")
     for gone in (["0.1"], ["0.01"], ["0.01", "0.001"], ["0.1", "0.001"]):
         for pressure in gone:
             (folder / f"N16_p{pressure}_s0003.h5").unlink()
         pj.prepare_library(folder, **FAMILY, resume=True)
-        assert packings(folder) == before, gone
+        assert contents(folder, "*.h5") == before, gone
 
 
 def test_existing_packings_are_refused_without_resume(folder):
-    before = packings(folder)
+    before = contents(folder, "*.h5")
     with pytest.raises(InputError, match=r"N16_p0\.01_s0001\.h5: exists already"):
         pj.prepare_library(folder, [16], [1e-2], [1, 4])
-    assert packings(folder) == before
+    assert contents(folder, "*.h5") == before
 
 
 def test_overwrite_makes_all_again(folder):
@@ -291,10 +287,10 @@ def test_a_packing_that_is_gone_has_no_line(folder):
     [("ratio", 1.5), ("shear_stabilised", True), ("decompress", True), ("potential_name", "hertzian")],
 )
 def test_another_recipe_is_refused(folder, name, value):
-    before = sorted((file.name, file.read_bytes()) for file in folder.iterdir())
+    before = contents(folder)
     with pytest.raises(InputError, match=f"{folder}: has packings with {name} = .*, not {value}"):
         pj.prepare_library(folder, [16], [1e-2], [4], resume=True, **{name: value})
-    assert sorted((file.name, file.read_bytes()) for file in folder.iterdir()) == before
+    assert contents(folder) == before
 
 
 @pytest.mark.parametrize(
@@ -448,7 +444,7 @@ def test_failures_are_listed_and_the_status_is_1(tmp_path, capfd):
     main(["info", str(out)])
     assert "1 failed" in capfd.readouterr().out
     assert main([*arguments[:5], *arguments[7:], "--resume"]) == 0
-    assert len(packings(out)) == 2
+    assert len(contents(out, "*.h5")) == 2
 
 
 # --- the command ------------------------------------------------------------------------------------------
@@ -571,27 +567,27 @@ def test_killed_at_random_moments_it_ends_with_the_same_files(tmp_path, environm
     seeds = range(1, 3 * kills * ranks)
     settings = ["--particles", "64", "--pressure", "1e-1,1e-3", "--decompress", "--seeds", f"1:{len(seeds)}"]
     pj.prepare_library(tmp_path / "undisturbed", [64], [1e-1, 1e-3], seeds, decompress=True)
-    expected, out = packings(tmp_path / "undisturbed"), tmp_path / "lib"
+    expected, out = contents(tmp_path / "undisturbed", "*.h5"), tmp_path / "lib"
     command = [sys.executable, "-m", "petscjam", "prepare", *settings, "--resume", "-o", str(out)]
     if ranks > 1:
         command = [*launch(ranks), *command]
     moment, killed = random.Random(1), 0
     for _ in range(kills):
-        before = len(packings(out))
+        before = len(contents(out, "*.h5"))
         run = subprocess.Popen(
             command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
         early = moment.random() < 0.25  # while it starts
         more, last = moment.choice([1, 2, 3]), time.monotonic() + (moment.uniform(0, 1.5) if early else 60)
-        while run.poll() is None and len(packings(out)) < before + more and time.monotonic() < last:
+        while run.poll() is None and len(contents(out, "*.h5")) < before + more and time.monotonic() < last:
             time.sleep(0.001)
         time.sleep(moment.uniform(0, 0.03))
         killed += run.poll() is None
         kill(run)
-        assert before <= len(packings(out)) < len(expected)
-        assert all(data == expected[name] for name, data in packings(out).items())
+        assert before <= len(contents(out, "*.h5")) < len(expected)
+        assert all(data == expected[name] for name, data in contents(out, "*.h5").items())
     assert killed == kills
     subprocess.run(command, env=environment, check=True, capture_output=True, timeout=300)
-    assert packings(out) == expected
+    assert contents(out, "*.h5") == expected
     assert not list(out.glob(".*"))
     assert len(lines(out)) == 1 + len(expected)

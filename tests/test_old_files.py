@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import contents
 
 import petscjam as pj
 from petscjam.cli import main
@@ -208,12 +209,9 @@ def copied(tmp_path, monkeypatch):
     ],
 )
 def test_work_that_is_done_is_not_done_again(copied, command):
-    def content():
-        return {path: path.read_bytes() for path in Path().rglob("*.h5")}
-
-    before = content()
+    before = contents(Path(), "*.h5")
     assert main([*command.split(), "--resume"]) == 0
-    assert content() == before
+    assert contents(Path(), "*.h5") == before
 
 
 def test_a_run_goes_on(copied):
@@ -236,7 +234,7 @@ def test_an_older_run_is_a_start(copied):
 
 
 def test_a_figure_is_drawn_from_what_is_there(copied, capfd):
-    before = {path: path.read_bytes() for path in Path("figures").rglob("*.h5")}
+    before = contents(Path("figures"), "*.h5")
     command = "figure modes --parameters modes.toml --existing --resume -o figures"
     assert main(command.split()) == 0
-    assert {path: path.read_bytes() for path in Path("figures").rglob("*.h5")} == before
+    assert contents(Path("figures"), "*.h5") == before

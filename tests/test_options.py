@@ -4,7 +4,6 @@ The verbs run in child processes, so that a crash of the interpreter is seen, to
 """
 
 import argparse
-import hashlib
 import json
 import random
 import subprocess
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import sixteen
+from helpers import contents, sixteen
 
 import petscjam as pj
 from petscjam.base.arguments import Within, path
@@ -89,10 +88,6 @@ for words in json.loads(sys.argv[1]):
     signal.alarm(60)
     print("STATUS", main(words), file=sys.stderr, flush=True)
 """
-
-
-def digests(folder):
-    return {file: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
 def command(verb, options, source, output):
@@ -216,7 +211,7 @@ def test_memory_is_estimated_before_it_is_asked_for(monkeypatch):
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "figure"])
 def test_any_options_are_done_or_refused(folder, tmp_path, verb):
     """Status 0, 2, or 1 with a line where a solve fails; no traceback, no part of a file, inputs kept."""
-    before, draw, commands = digests(folder), random.Random(verb), []
+    before, draw, commands = contents(folder), random.Random(verb), []
     for k in range(40):
         source = folder / f"{draw.choice(INPUTS.get(verb, ['packing']))}.h5"
         commands.append(command(verb, drawn(verb, draw), source, tmp_path / f"{k}.h5"))
@@ -228,7 +223,7 @@ def test_any_options_are_done_or_refused(folder, tmp_path, verb):
     for part in child.stderr.split("RUN ")[1:]:
         status = int(part.split("STATUS ")[1])
         assert status in (0, 2) or (status == 1 and "petscjam: " in part), part
-    assert digests(folder) == before
+    assert contents(folder) == before
     assert not list(tmp_path.rglob("*.part"))
     for file in tmp_path.glob("*.h5"):
         assert main(["info", str(file)]) == 0
