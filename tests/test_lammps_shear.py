@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from petscjam.base.errors import InputError
@@ -55,6 +55,7 @@ def section(folder, name):
 # Without LAMMPS
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.floats(-3, 3))
 def test_data_holds_the_disks_to_the_last_bit(tmp_path_factory, seed, strain):
     folder = tmp_path_factory.mktemp("lammps")

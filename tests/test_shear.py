@@ -4,12 +4,11 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from functools import cache
 
 import h5py
 import numpy as np
 import pytest
-from helpers import names
+from helpers import jammed, names
 
 import petscjam as pj
 from petscjam.base.errors import DoubtfulWarning, InputError
@@ -385,8 +384,7 @@ def test_every_start_is_recorded(tmp_path):
 def test_a_start_keeps_its_potential(tmp_path, alpha, relative):
     """The forces of a packing balance in the dynamics, too, and its pressure is p ds²/E, E = ke or k ds^α."""
     name = power_law(alpha, relative).name
-    loose = pj.prepare_packing(64, pressure=2e-2, seed=1)
-    packing = pj.relax_packing(replace(loose, potential_name=name))
+    packing = pj.relax_packing(replace(jammed(2e-2, seed=1), potential_name=name))
     ds, p = 2 * packing.radii.min(), ContactNetwork.of(packing).pressure
     packing.write(tmp_path / "p.h5")
     for start in (packing, tmp_path / "p.h5"):
@@ -453,7 +451,7 @@ def test_the_viscosity_of_a_fluid_is_in_the_books():
 )
 def test_squares_by_other_lattice_vectors(vectors, degrees, tilt):
     """Left-handed, in another order, sums, turned: the same lattice, so the same shear."""
-    plain, F = jammed(), np.array([[1.0, tilt], [0.0, 1.0]])
+    plain, F = jammed(n=36, seed=1), np.array([[1.0, tilt], [0.0, 1.0]])
     straight = pj.Packing(plain.positions @ F.T, plain.radii, plain.box.deformed(F))
     cell = np.array(vectors) @ turn(straight.box.cell, degrees)
     start = pj.Packing(turn(straight.positions, degrees), straight.radii, pj.Box(cell))
@@ -466,18 +464,13 @@ def test_squares_by_other_lattice_vectors(vectors, degrees, tilt):
 
 def test_a_cell_sheared_along_y_is_turned():
     """Until its edge lies along x."""
-    plain, F = jammed(), np.array([[1.0, 0.0], [0.3, 1.0]])
+    plain, F = jammed(n=36, seed=1), np.array([[1.0, 0.0], [0.3, 1.0]])
     upright = pj.Packing(plain.positions @ F.T, plain.radii, plain.box.deformed(F))
     lying = pj.Packing(turn(upright.positions, -90), upright.radii, pj.Box(turn(upright.box.cell, -90)))
     one, two = (pj.md.shear("CD", rate=1e-2, strain=1e-2, start=p) for p in (upright, lying))
     assert "turned by -90" in one.settings.start
     assert two.stress == pytest.approx(one.stress, rel=1e-9)
     assert one.strain[0] == pytest.approx(-0.3 + 1e-2)
-
-
-@cache
-def jammed():
-    return pj.prepare_packing(36, pressure=1e-2, seed=1)
 
 
 def turn(vectors, degrees):

@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 export PYTHON=$1
 which=$2
 . tools/mpi-env.sh
-cores=$(nproc)
+cores=$(env -u OMP_NUM_THREADS nproc) # which counts no more than these threads
 share=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null; rm -rf "$share" "$share.log"' EXIT
 
