@@ -9,7 +9,7 @@ which=$2
 . tools/mpi-env.sh
 cores=$(env -u OMP_NUM_THREADS nproc) # which counts no more than these threads
 share=$(mktemp -d)
-trap 'kill $(jobs -p) 2>/dev/null; rm -rf "$share" "$share.log"' EXIT
+trap 'kill $(jobs -p) 2>/dev/null || true; rm -rf "$share" "$share.log"' EXIT
 
 failed=()
 check() { # 5: no test for so many ranks
