@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import hyp2f1
 
-from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time, unstable
+from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time
 from petscjam.base.errors import InputError, shown
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
@@ -138,7 +138,6 @@ def self_consistent_drag(
         lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
         problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
     lowest = rounded(found["values"].real, problem.rounding[0]).min()
-    problem.notes += unstable(problem, float(lowest))
     return NonlinearModulus(
         omega=omega,
         stress=float(stress),
@@ -147,6 +146,9 @@ def self_consistent_drag(
         **found,
         errors=np.full(len(omega), np.nan),
         origin=describe(problem, name, strain),
+        G0=float(lowest),
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
         notes=tuple(problem.notes),
     )
 

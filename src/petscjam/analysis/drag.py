@@ -25,7 +25,7 @@ from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.potential import potential
 from petscjam.parallel.comm import agree
-from petscjam.response.origin import Result, Verb, frequencies, stored
+from petscjam.response.origin import Judged, Verb, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import EDGE, Spectrum
 from petscjam.rows.damping import ContactDamping
@@ -34,7 +34,7 @@ LARGEST_LOG = 100 * np.log(10)  # |ln τ|: beyond, squares leave the floating-po
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModulus(Result):
+class NonlinearModulus(Judged):
     """G*(ω; δσ) of one packing under nonlinear drag. Units: stress k, time τ1.
 
     Attributes
@@ -66,6 +66,8 @@ class NonlinearModulus(Result):
         Bound on |ΔG*|/|G*| of the reduced model; NaN per contact.
     contact_tau : (W, C)
         τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none.
+    G0 : float or None
+        The smallest G′, that at ω → 0 included where it is known; 0 within rounding. None in older files.
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
@@ -82,6 +84,7 @@ class NonlinearModulus(Result):
     residuals: Array = field(metadata=stored("1", "W"))
     errors: Array = field(metadata=stored(axes="W"))
     contact_tau: Array = field(metadata=stored("tau1", "W C"))
+    G0: float | None = field(metadata=stored("stress"))
     settings: ClassVar[tuple[str, ...]] = ("strain",)
     units: ClassVar[str] = "stress in k"
     figure: ClassVar[str] = "petscjam.plots.drag:drag_figure"
@@ -95,6 +98,7 @@ class NonlinearModulus(Result):
             "most iterations": f"{self.iterations.max()}",
             "converged": f"{self.converged.sum()} of {len(self.omega)}",
             "change": f"{self.changes.max():.0e}",
+            "state": self.state,
         }
 
     def at(self, stress: float) -> NonlinearModulus:
@@ -212,7 +216,10 @@ def equivalent_drag(
         errors=model.error(omega * tau),
         contact_tau=np.empty((count, 0)),
         origin=replace(model.origin, damping=None),
-        notes=(*model.notes, *unstable(model, float(np.nanmin([*values.real, model.G0])))),
+        G0=float(np.nanmin([*values.real, model.G0])),
+        negative_modes=model.negative_modes,
+        zero_modes=model.zero_modes,
+        notes=model.notes,
     )
 
 
@@ -222,13 +229,6 @@ def _unit(model: Spectrum) -> float:
     if diameter is None and law.unit(2.0) != 1:
         raise InputError(f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again")
     return law.unit(diameter or 1.0)
-
-
-def unstable(soft: Any, lowest: float) -> list[str]:
-    """Return a note if a packing is no solid, by the modes that ``soft`` counts and by the ``lowest`` G′."""
-    faults = [f"{soft.negative_modes} negative modes"] * bool(soft.negative_modes)
-    faults += [f"{soft.zero_modes} zero modes"] * bool(soft.zero_modes) + ["G' ≤ 0"] * (lowest <= 0)
-    return [f"unstable: {', '.join(faults)}"] * bool(faults)
 
 
 def check_amplitude(stress: float, alpha: float) -> None:

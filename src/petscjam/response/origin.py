@@ -157,8 +157,9 @@ class Judged(Result):
         the forces balance: a linear response starts from an equilibrium. Without pre-stress contacts are
         springs at rest, which are in one anywhere.
         """
-        faults = ["G0 < 0"] * (self.G0 < 0) + ["G0 = 0"] * (self.G0 == 0)
-        unknown = ["G0"] * bool(np.isnan(self.G0))
+        G0 = np.nan if self.G0 is None else self.G0
+        faults = ["G0 < 0"] * (G0 < 0) + ["G0 = 0"] * (G0 == 0)
+        unknown = ["G0"] * bool(np.isnan(G0))
         for kind, count in (("negative modes", self.negative_modes), ("zero modes", self.zero_modes)):
             faults += [f"{count} {kind}"] * bool(count)
             unknown += [kind] * (count is None)
