@@ -12,7 +12,7 @@ import petscjam as pj
 from petscjam.base.errors import shown
 from petscjam.io.lammps_shear import write_lammps
 from petscjam.md.frames import write_frame
-from petscjam.md.model import model
+from petscjam.md.model import Model
 from petscjam.md.state import State, random_state
 
 DATA = Path(__file__).parent / "data" / "jambashbulk-N16-P1e-3-0001.txt"
@@ -56,8 +56,8 @@ def test_a_value_in_a_message_is_pythons(value, expected):
         (lambda p: pj.spectrum(p, rtol=f8(0.5)), "not 0.5"),
         (lambda p: pj.spectrum(p, damping=f8(1)), "1.0 is not a law"),
         (lambda p: pj.lowest_modes(p, count=i8(0)), "not 0"),
-        (lambda p: model("CD", f8(-1)), "not -1.0"),
-        (lambda p: model("CD", 1.0).step(f8(-1), "heun"), "not -1.0"),
+        (lambda p: Model.of("CD", f8(-1)), "not -1.0"),
+        (lambda p: Model.of("CD", 1.0).step(f8(-1), "heun"), "not -1.0"),
         (lambda p: random_state(i8(3), 0.8, 0), "not 3"),
         (lambda p: random_state(16, f8(-1), 0), "not -1.0"),
     ],
@@ -76,7 +76,7 @@ def test_files_of_sheared_disks(tmp_path):
     assert f' 0 0 0 {2 * s.radii.max():.12g}"' in frame
     assert " Time=7.5 strain=0.25 rate=0.001 " in frame
     numbers = {"rate": f8(1e-3), "strain": f8(0.1), "dt": f8(0.01), "every": i8(5)}
-    write_lammps(state, model("CD_n", f8(2)), tmp_path / "lammps", **numbers)
+    write_lammps(state, Model.of("CD_n", f8(2)), tmp_path / "lammps", **numbers)
     assert "variable rate index 0.001\nvariable dt index 0.01\n" in (tmp_path / "lammps/in.shear").read_text()
     assert "disks at a strain of 0.25" in (tmp_path / "lammps/disks.data").read_text()
 
