@@ -30,7 +30,7 @@ for ranks in ${RANKS:-1 2 3}; do
     if [ "$ranks" = 1 ] && [ "$cores" -gt 1 ]; then
         # Two processes share the serial tests, one from the front and one from the back of the list, until they meet.
         # In the background a shell ignores SIGINT, which some tests need.
-        tests+=(--share "$share")
+        tests+=("--share=$share")
         env --default-signal=INT "${tests[@]}" --backwards >"$share.log" 2>&1 &
         backwards=$!
     fi
