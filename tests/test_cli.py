@@ -398,9 +398,9 @@ def test_an_exception_on_one_rank_ends_all(packing, tmp_path, mpirun):
         "import sys; from mpi4py import MPI; import petscjam.parallel.solver as s\n"
         "from petscjam.cli import main\n"
         "solve = s.DirectSolver.solve\n"
-        "def fails(self, *rhs):\n"
+        "def fails(self, *rhs, **options):\n"
         "    if MPI.COMM_WORLD.rank == 1: raise RuntimeError('injected')\n"
-        "    return solve(self, *rhs)\n"
+        "    return solve(self, *rhs, **options)\n"
         "s.DirectSolver.solve = fails\n"
         f"sys.exit(main(['moduli', {str(packing)!r}, '--omega', '1', '-o', {str(tmp_path / 'g.h5')!r}]))"
     )

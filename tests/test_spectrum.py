@@ -464,8 +464,11 @@ def test_storage_never_falls_with_frequency(law, pressure):
 @any_strain
 @any_law
 def test_the_modulus_is_the_sum_of_its_relaxations(law, strain, prestress, pressure):
+    """Up to rounding, of G* and of the friction of the quasi-static motion, most of which relaxations cancel."""
     s = model(jammed(pressure), 1e-6, SPAN, law, strain, prestress)
-    assert s.kramers_kronig(np.geomspace(*SPAN, 60)).max() < 1e-10
+    omega = np.geomspace(*SPAN, 60)
+    rounding = np.finfo(float).eps * (1 + omega * abs(s.eta0) / abs(s(omega)))
+    assert (s.kramers_kronig(omega) < 1000 * rounding).all()
 
 
 @pytest.mark.parametrize("law", [pj.ContactDamping(), pj.StokesDrag(1.0)], ids=str)

@@ -59,7 +59,7 @@ def export_rheology(
         ``overwrite``) or cannot be written.
     """
     if format_of(path, fmt, fmt) not in FORMATS:
-        raise InputError(f"export: {fmt!r} is unknown; known are {', '.join(FORMATS)}")
+        raise InputError(f"export: the formats of moduli are {', '.join(FORMATS)}, not {fmt}")
     for name, given, formats in (("omegas", omegas, ("tts", "csv")), ("times", times, ("gt",))):
         if given is not None and fmt not in formats:
             raise InputError(f"{name}: {fmt} has none")
