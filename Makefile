@@ -58,6 +58,7 @@ format: $(READY) ## let ruff repair and format what it can
 	$(PYTHON) -m ruff format
 
 docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
+	rm -rf docs/_generated # pages of modules that are gone
 	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
