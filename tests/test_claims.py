@@ -243,7 +243,7 @@ def library(tmp_path):
         ["modes", "--count", "2"],
         ["density", "--moments", "16", "--vectors", "2"],
         ["correlations"],
-        ["drag", "--stress", "1e-4"],
+        ["nonlinear-drag", "--stress", "1e-4"],
     ],
 )
 def test_results_are_claimed(library, tmp_path, holder, capfd, verb):

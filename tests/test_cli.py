@@ -139,7 +139,7 @@ def test_overwrite_keeps_the_old_file_until_there_is_a_new_result(packing, tmp_p
         (["--beta", "much"], "much"),
         (["--damping", "stokes", "--beta", "1"], "--beta"),
         (["--damping", "glue"], "glue"),
-        (["--strain", "torsion"], "torsion"),
+        (["--strain-mode", "torsion"], "torsion"),
         (["--fields", "1e6"], "1e+06"),
         (["--omega", "1:10:99999999999"], "99999999999"),
     ],

@@ -26,7 +26,7 @@ VERBS = {
     "relaxations": ["modes", "--count", "4", "--relaxation", "--beta", "1"],
     "density": ["density", "--moments", "16", "--vectors", "2"],
     "correlations": ["correlations", "--beta", "1", "--omega", "1e-2"],
-    "drag": ["drag", "--stress", "1e-4", "--omega", "1e-2"],
+    "drag": ["nonlinear-drag", "--stress", "1e-4", "--omega", "1e-2"],
 }
 KINDS = ["packing", "spectrum", "rebuilt", "run", *VERBS]
 

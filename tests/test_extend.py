@@ -9,7 +9,7 @@ import pytest
 import petscjam as pj
 from petscjam.cli import main
 from petscjam.geometry.network import ContactNetwork
-from petscjam.io.kinds import KINDS
+from petscjam.io.kinds import KINDS, Kind
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 PAGE = (Path(__file__).parents[1] / "docs" / "howto" / "extend.md").read_text()
@@ -28,8 +28,8 @@ def coordination(tmp_path, monkeypatch):
     code, line = blocks("An analysis, with its verb, table and picture")
     (tmp_path / "coordination.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    for kind, place in eval(f"{{{line}}}".replace("petscjam.analysis.", "")).items():
-        monkeypatch.setitem(KINDS, kind, place)
+    for name, kind in eval(f"{{{line}}}".replace("petscjam.analysis.", ""), {"Kind": Kind}).items():
+        monkeypatch.setitem(KINDS, name, kind)
     return tmp_path / "z.h5"
 
 

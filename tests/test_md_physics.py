@@ -25,7 +25,7 @@ OTHERS = pytest.mark.parametrize(
         {"potential": POTENTIALS["hertzian-relative"]},
         {"potential": POTENTIALS["harmonic"]},
         {"potential": power_law(3.0, relative=False)},
-        {"drag": 0.7, "spin_drag": 0.05},
+        {"stokes_drag": 0.7, "rotational_drag": 0.05},
     ],
     ids=lambda others: others["potential"].name if "potential" in others else str(others),
 )
@@ -166,7 +166,7 @@ def test_sums_are_those_of_the_slow_twin(law, others):
     pressure = trapezoid([np.array(twin.pressure_tensor(s, model, masses)) for s in states]) * state.length**2
     for name, place in PRESSURE.items():
         assert total[getattr(kernels, name)] == pytest.approx(pressure[place], abs=1e-10), name
-    couples = [model.spin_drag * s.rate / 2 * np.sum(s.spins + s.rate / 2) for s in states]
+    couples = [model.rotational_drag * s.rate / 2 * np.sum(s.spins + s.rate / 2) for s in states]
     heat = trapezoid([twin.dissipation(s, model) for s in states])
     assert total[kernels.HEAT] == pytest.approx(heat, abs=1e-10)
     work = trapezoid(couples) - state.rate * pressure.sum(0)[0, 1]
@@ -196,7 +196,7 @@ def tiled(state, times):
 @pytest.mark.parametrize("name", MODELS)
 def test_a_flow_repeated_in_a_large_cell_is_the_same_flow(name, integrator):
     """With as many disks that loops and lists are cut into pieces."""
-    model, state, times = Model(MODELS[name], 2.0, drag=0.1), disks(6, 20), 15
+    model, state, times = Model(MODELS[name], 2.0, stokes_drag=0.1), disks(6, 20), 15
     assert len(state) * times**2 > CHUNK
     small = Simulation(state, model, 0.01, integrator)
     large = Simulation(tiled(state, times), model, 0.01, integrator)
@@ -274,7 +274,9 @@ def linearised(state, model, masses):
 
 
 @pytest.mark.parametrize("phi", [0.3, 0.9])
-@pytest.mark.parametrize("others", [{}, {"drag": 20.0, "spin_drag": 4.0}, {"potential": power_law(2.5, False)}])
+@pytest.mark.parametrize(
+    "others", [{}, {"stokes_drag": 20.0, "rotational_drag": 4.0}, {"potential": power_law(2.5, False)}]
+)
 @pytest.mark.parametrize("law", LAW)
 def test_the_bounds_of_the_rates_are_above_the_largest_eigenvalues(law, others, phi):
     """And not far above, where disks are alike."""
@@ -393,7 +395,7 @@ def refined(start, model, integrator, observe, time=0.5, steps=(16, 32, 64)):
 @pytest.mark.parametrize("name", MODELS)
 def test_integrators_are_of_second_order(name, integrator):
     """Half the step, a quarter of the change, while contacts stay what they are."""
-    model = Model(MODELS[name], 2.0, drag=0.1, spin_drag=0.01)
+    model = Model(MODELS[name], 2.0, stokes_drag=0.1, rotational_drag=0.01)
     a, b, c = refined(lattice(), model, integrator, lambda simulation, _: simulation.state)
     assert apart(a, b) == pytest.approx(4 * apart(b, c), rel=0.1)
     assert apart(b, c) > 1e-8
@@ -403,7 +405,7 @@ def test_integrators_are_of_second_order(name, integrator):
 @pytest.mark.parametrize("name", MODELS)
 def test_the_energy_budget_closes_to_second_order(name, integrator):
     """Change of energy = work of the shear stress − heat."""
-    model, start = Model(MODELS[name], 2.0, drag=0.1, spin_drag=0.01), lattice()
+    model, start = Model(MODELS[name], 2.0, stokes_drag=0.1, rotational_drag=0.01), lattice()
     before = sum(Simulation(start, model).energy())
 
     def missing(simulation, total):

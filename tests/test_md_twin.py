@@ -73,8 +73,8 @@ models = st.builds(
     law=st.sampled_from([case.values[0] for case in LAW]),
     Q=st.floats(0.2, 20),
     potential=st.builds(power_law, st.sampled_from([2.0, 2.5, 3.0]), st.booleans()),
-    drag=st.sampled_from([0.0, 0.7]),
-    spin_drag=st.sampled_from([0.0, 0.2]),
+    stokes_drag=st.sampled_from([0.0, 0.7]),
+    rotational_drag=st.sampled_from([0.0, 0.2]),
 )
 
 
@@ -156,7 +156,7 @@ def drags_a_lone_disk(run, dt):
 
     With c = v − γ̇ y x̂: cy decays at ζ, cx = (cx(0) − γ̇ cy(0) t) exp(−ζt), θ̇ + γ̇/2 at ζr/(R²/2).
     """
-    model, rate, time = Model(MODELS["CD_n"], 1.0, drag=0.4, spin_drag=0.1), 0.3, 2.0
+    model, rate, time = Model(MODELS["CD_n"], 1.0, stokes_drag=0.4, rotational_drag=0.1), 0.3, 2.0
     c, y, R = np.array([0.2, 0.5]), 5.7, 0.6
     start = State([[1.0, y]], [[c[0] + rate * y, c[1]]], [0.8], [R], 6.0, strain=0.1, rate=rate)
     end = next(islice(run(start, model, dt), round(time / dt), None))
@@ -297,7 +297,7 @@ def test_dissipation_is_the_power_of_the_damping(state, model):
     elastic, _ = twin.disk_forces(state, without_damping(model))
     damping = forces - elastic
     shear = state.length**2 * twin.pressure_tensor(state, model)[1][0, 1] * state.rate
-    vorticity = model.spin_drag * np.sum(state.spins + state.rate / 2) * state.rate / 2
+    vorticity = model.rotational_drag * np.sum(state.spins + state.rate / 2) * state.rate / 2
     power = np.sum(damping * state.peculiar) + torques @ state.spins + shear - vorticity
     assert twin.dissipation(state, model) == pytest.approx(-power, rel=1e-9, abs=1e-9)
     assert twin.dissipation(state, model) >= 0
@@ -309,7 +309,7 @@ def test_energy_balance(state, model, masses):
     motion = state.velocities, *twin.accelerations(state, model, masses), state.rate
     dE = slope(lambda h: twin.energy(along(state, h, *motion), model, masses))
     work = -state.rate * state.length**2 * sum(twin.pressure_tensor(state, model, masses))[0, 1]
-    couple = state.rate / 2 * model.spin_drag * np.sum(state.spins + state.rate / 2)
+    couple = state.rate / 2 * model.rotational_drag * np.sum(state.spins + state.rate / 2)
     heat = twin.dissipation(state, model)
     assert dE == pytest.approx(work + couple - heat, abs=1e-5 * max(1.0, heat))
 

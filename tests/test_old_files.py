@@ -205,7 +205,7 @@ def copied(tmp_path, monkeypatch):
         "moduli packing.h5 --omega 1e-4:1e2:7 --beta 0.3 --prestress-both --fields 1e-2 -o moduli.h5",
         "moduli older/library --omega 1e-4:1e2:4 -o older/moduli.h5",
         "modes packing.h5 --count 5 -o modes.h5",
-        "drag packing.h5 --omega 1e-2:1:3 --stress 1e-4 -o drag.h5",
+        "nonlinear-drag packing.h5 --omega 1e-2:1:3 --stress 1e-4 -o drag.h5",
     ],
 )
 def test_work_that_is_done_is_not_done_again(copied, command):

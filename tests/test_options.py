@@ -18,7 +18,8 @@ import petscjam as pj
 from petscjam.base.arguments import Within, path
 from petscjam.base.errors import InputError
 from petscjam.cli import main
-from petscjam.cli.parser import build_parser
+from petscjam.cli.parser import Parser, build_parser
+from petscjam.cli.renamed import RENAMED
 from petscjam.md import protocols
 from petscjam.md.runs import run
 from petscjam.parallel import memory
@@ -72,7 +73,7 @@ def drawn(verb, random):
 QUICK = {
     "prepare": "--particles=16 --pressure=1e-2",
     "moduli": "--omega=1e-2:1:3",
-    "drag": "--stress=1e-3 --omega=1e-2:1:2",
+    "nonlinear-drag": "--stress=1e-3 --omega=1e-2:1:2",
     "density": "--moments=16 --vectors=2",
     "correlations": "--omega=1e-2",
     "modes": "--count=3",
@@ -116,6 +117,33 @@ def test_every_number_has_a_range_or_a_form(verb):
                     assert all(x in action.type.range for x in np.ravel(value).tolist())
 
 
+OLD_NAMES = {  # a command with each, and what it sets
+    "drag": ("drag p.h5 --stress 1 -o x.h5", {"verb": "nonlinear-drag"}),
+    "--strain": ("moduli p.h5 --strain compression -o x.h5", {"strain": "compression"}),
+    "--drag": ("shear --strain 2 --drag 0.5 -o x.h5", {"strain": 2.0, "stokes_drag": 0.5}),
+    "--spin-drag": ("ramp --spin-drag=0.5 -o x.h5", {"rotational_drag": 0.5}),
+}
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_old_names_work_with_a_warning(capsys, old):
+    words, expected = OLD_NAMES[old]
+    options, unknown = build_parser().parse_known_args(words.split())
+    assert expected.items() <= vars(options).items()
+    assert not unknown
+    assert capsys.readouterr().err == f"petscjam: warning: {old} is now {RENAMED[old]}\n"
+
+
+@pytest.mark.parametrize("key", ["spin-drag", "spin_drag"])
+def test_old_names_work_in_a_file_of_settings(tmp_path, capsys, key):
+    parser, file = Parser(), tmp_path / "settings.toml"
+    parser.add_argument("--config")
+    parser.add_argument("--rotational-drag", type=float)
+    file.write_text(f"{key} = 0.5")
+    assert parser.parse_known_args(["--config", str(file)])[0].rotational_drag == 0.5
+    assert capsys.readouterr().err == "petscjam: warning: --spin-drag is now --rotational-drag\n"
+
+
 REFUSED = """
 shear --dt 1e-12
 shear --strain 1e15
@@ -124,8 +152,8 @@ shear --rate 1e300
 shear --Q 1e-320
 shear --Q 1e300
 shear --phi 1e-320
-shear --drag 1e300
-shear --spin-drag 1e300
+shear --stokes-drag 1e300
+shear --rotational-drag 1e300
 shear --seed 9223372036854775808
 shear --row-time 1e300
 shear --row-time -1
@@ -155,9 +183,9 @@ density PACKING --moments 1000000 --vectors 100000
 density PACKING --seed 9223372036854775808
 correlations PACKING --bin 1e-9
 correlations PACKING --width 1e-9
-drag PACKING --stress 1e-3 --alpha 1e5
-drag PACKING --stress 1e300
-drag PACKING --stress 1 --alpha 1e-320
+nonlinear-drag PACKING --stress 1e-3 --alpha 1e5
+nonlinear-drag PACKING --stress 1e300
+nonlinear-drag PACKING --stress 1 --alpha 1e-320
 moduli PACKING --beta 1e300
 moduli PACKING --omega 1e-320
 moduli PACKING --team-size 0

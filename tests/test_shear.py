@@ -208,7 +208,7 @@ def test_only_the_last_of_several_steps_may_be_longer(tmp_path):
         {"n": 64},
         {"seed": 4},
         {"integrator": "single"},
-        {"drag": 0.1},
+        {"stokes_drag": 0.1},
         {"model": ContactDamping(beta=0.5)},
     ],
     ids=lambda other: next(iter(other)),
@@ -260,7 +260,7 @@ BAD = [
     ("--exponent 1", "1"),
     ("--seed -1", "-1"),
     ("--start nowhere.h5", "nowhere.h5"),
-    ("--drag -1", "-1"),
+    ("--stokes-drag -1", "-1"),
     ("--model CD --beta 0.3", "--beta"),
     ("--oscillate 1:2", "1:2"),
     ("--rate nan", "nan"),
@@ -312,7 +312,7 @@ def test_the_budget_of_a_ramp_closes_with_what_the_jumps_bring():
 
 def test_shear_that_stops_leaves_the_strain_and_takes_the_motion():
     """Cessation: at a strain rate of 0 the dissipation dies out."""
-    stopped = run(protocols.steps([1e-2, 0.0], [0.5, 200.0]), "CD_rot", 36, 0.84, drag=0.1)
+    stopped = run(protocols.steps([1e-2, 0.0], [0.5, 200.0]), "CD_rot", 36, 0.84, stokes_drag=0.1)
     assert stopped.settings.bulk == "profile"
     assert stopped.strain[-1] == pytest.approx(0.5)
     assert stopped.rows["heat"][-1] < 0.02 * stopped.rows["heat"].max()
@@ -526,9 +526,9 @@ def test_time_series_as_text(tmp_path):
 def test_a_model_survives_the_file(tmp_path):
     """A law that has no name in VOT, too."""
     law = ContactDamping(beta=0.3, rotations=True)
-    made = pj.md.shear(law, 36, 0.82, 2.0, rate=1e-2, strain=0.02, drag=0.1, output=tmp_path / "a.h5")
-    assert pj.md.read(tmp_path / "a.h5").settings.model == Model(law, 2.0, drag=0.1)
-    assert made.settings.model == Model(law, 2.0, drag=0.1)
+    made = pj.md.shear(law, 36, 0.82, 2.0, rate=1e-2, strain=0.02, stokes_drag=0.1, output=tmp_path / "a.h5")
+    assert pj.md.read(tmp_path / "a.h5").settings.model == Model(law, 2.0, stokes_drag=0.1)
+    assert made.settings.model == Model(law, 2.0, stokes_drag=0.1)
 
 
 def test_states_are_checked_at_birth():

@@ -72,7 +72,8 @@ def run(argv: list[str], comm: Any) -> int:
     cut = argv.index("--") if "--" in argv else len(argv)
     set_options(argv[cut + 1 :])
     parser = build_parser()
-    with redirect_stdout(StringIO() if comm.rank else sys.stdout):  # --help prints once
+    out, err = (StringIO(), StringIO()) if comm.rank else (sys.stdout, sys.stderr)  # --help prints once
+    with redirect_stdout(out), redirect_stderr(err):
         options, unknown = parser.parse_known_args(join_negative(argv[:cut]))
     if unknown:
         raise InputError(misspelt(unknown[0], options.known))

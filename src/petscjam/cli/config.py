@@ -10,6 +10,7 @@ from typing import Any
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import naming
+from petscjam.cli.renamed import current
 
 
 def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
@@ -52,8 +53,8 @@ def _words(path: str, argv: list[str], options: Mapping[str, Any], exclusive: It
     known = [name[2:].replace("-", "_") for name in options if name not in ("-h", "--help", "--config", "-o")]
     words = []
     for key, value in content.items():
-        option = f"--{key.replace('_', '-')}"
-        if key.replace("-", "_") not in known:
+        option = current(f"--{key.replace('_', '-')}", options)
+        if option[2:].replace("-", "_") not in known:
             raise InputError(misspelt(key, known))
         if option in excluded:
             continue

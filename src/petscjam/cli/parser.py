@@ -30,6 +30,7 @@ from petscjam.base.versions import release
 from petscjam.cli import analyses, shearing, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
+from petscjam.cli.renamed import current
 from petscjam.figures import FIGURES
 from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.kinds import KINDS, class_of
@@ -65,8 +66,13 @@ class Parser(argparse.ArgumentParser):
             declare(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Put what ``--config FILE`` says in front of the options; the later of two counts."""
+        """Replace old names, and put the options of ``--config FILE`` first: of two equal options the last counts."""
         self.complete()
+        if self._subparsers:
+            known = list(self._subparsers._group_actions[0].choices or ())
+            args = [*(current(verb, known) for verb in args[:1]), *args[1:]]
+        else:
+            args = [current(word, self._option_string_actions) for word in args]
         if "--config" in self._option_string_actions:
             args = [*settings(args, self._option_string_actions, self._mutually_exclusive_groups), *args]
         return super().parse_known_args(args, namespace)
@@ -261,9 +267,9 @@ def build_parser() -> Parser:
     )
     output(p, "OUT.h5", "results, one group a packing")
 
-    for kind, (_, text) in KINDS.items():
-        if text:
-            add(known, kind, analyses.analyse, text, RANKS).declare = partial(declare, kind=kind)
+    for name, kind in KINDS.items():
+        if kind.text:
+            add(known, kind.verb or name, analyses.analyse, kind.text, RANKS).declare = partial(declare, kind=name)
 
     text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
@@ -444,18 +450,19 @@ def disks(p: Parser) -> None:
         help="of the repulsion V ~ overlap^X (default 2, or that of --start)",
     )
     p.add_argument(
-        "--drag",
+        "--stokes-drag",
         type=Within(number, ranges.DRAG),
         default=0.0,
         metavar="X",
-        help="Stokes drag on disks, in m/tau_e (default 0)",
+        help="Stokes drag on disks, in m/tau_e: force -X times the velocity relative to the affine flow (default 0)",
     )
     p.add_argument(
-        "--spin-drag",
+        "--rotational-drag",
         type=Within(number, ranges.DRAG),
         default=0.0,
         metavar="X",
-        help="Stokes drag on their rotation, in m ds^2/tau_e (default 0)",
+        help="Stokes drag on their rotation, in m ds^2/tau_e: torque -X times the spin relative to that of the flow "
+        "(default 0)",
     )
     p.add_argument(
         "--threads",
@@ -497,9 +504,8 @@ def damping(p: Parser) -> None:
 
 def strain(p: Parser) -> None:
     """Add the mode of deformation."""
-    p.add_argument(
-        "--strain", choices=STRAINS, default="simple-shear", help="mode of deformation (default simple-shear)"
-    )
+    text = "mode of deformation (default simple-shear)"
+    p.add_argument("--strain-mode", dest="strain", choices=STRAINS, default="simple-shear", help=text)
 
 
 def prestress(p: Parser) -> None:

@@ -55,10 +55,8 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
     if options.model and law_options(options):
         raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
     models: list[Any] = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
-    common = {
-        name: getattr(options, name)
-        for name in ("start", "integrator", "dt", "threads", "exponent", "drag", "spin_drag", "row_time", "frames")
-    }
+    names = "start integrator dt threads exponent stokes_drag rotational_drag row_time frames"
+    common = {name: getattr(options, name) for name in names.split()}
 
     if options.start is not None and options.start.is_dir():
         from petscjam.io.lammps_shear import read_lammps

@@ -5,46 +5,68 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import NamedTuple
 
 from petscjam.base.files import h5_format
 from petscjam.md.result import FORMAT as RUN
 from petscjam.md.result import is_run
 from petscjam.response.origin import Result
 
-# The class of each kind, and what its verb, if it has one of its own, says of itself. Files have the format
-# "petscjam KIND". A module is imported where it is needed, so that the command starts at once.
+
+class Kind(NamedTuple):
+    """A kind of results. A module is imported where it is needed, so that the command starts at once.
+
+    Attributes
+    ----------
+    place : str
+        Its class, ``module:name``.
+    text : str
+        The help text of its verb; empty if it has no verb of its own.
+    verb : str
+        The name of its verb, if that is not the name of the kind.
+    """
+
+    place: str
+    text: str = ""
+    verb: str = ""
+
+
+# Files have the format "petscjam KIND".
 KINDS = {
-    "moduli": ("petscjam.response.result:ComplexModulus", ""),
-    "nonaffine": (
+    "moduli": Kind("petscjam.response.result:ComplexModulus"),
+    "nonaffine": Kind(
         "petscjam.analysis.nonaffine:QuasistaticResponse",
         "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain",
     ),
-    "modes": ("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
-    "relaxations": ("petscjam.response.relaxations:RelaxationModes", ""),
-    "rebuilt": ("petscjam.analysis.mode_sum:ModeSum", ""),
-    "density": ("petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"),
-    "correlations": (
+    "modes": Kind("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
+    "relaxations": Kind("petscjam.response.relaxations:RelaxationModes"),
+    "rebuilt": Kind("petscjam.analysis.mode_sum:ModeSum"),
+    "density": Kind(
+        "petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"
+    ),
+    "correlations": Kind(
         "petscjam.analysis.correlations:Correlations",
         "how far non-affine displacements are correlated along the shear, at any frequency",
     ),
-    "drag": (
+    "drag": Kind(
         "petscjam.analysis.drag:NonlinearModulus",
         "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping",
+        "nonlinear-drag",
     ),
-    "viscosity": ("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
+    "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
 }
 PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"
 
 
 def class_of(kind: str) -> type[Result]:
     """Return the class of the results of a ``kind``."""
-    found: type[Result] = resolve_name(KINDS[kind][0])
+    found: type[Result] = resolve_name(KINDS[kind].place)
     return found
 
 
 def kind_of(result: type[Result]) -> str:
     """Return the kind of results of a class."""
-    return next(kind for kind, (place, _) in KINDS.items() if place == f"{result.__module__}:{result.__name__}")
+    return next(name for name, kind in KINDS.items() if kind.place == f"{result.__module__}:{result.__name__}")
 
 
 def recognise(path: str | PathLike[str]) -> str:

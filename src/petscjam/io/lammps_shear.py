@@ -188,7 +188,7 @@ def _check_model(state: State, model: Model) -> None:
         (model.potential.exponent, model.potential.exponent == 2, "the exponent 2 only, not"),
         (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
         (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
-        (model.spin_drag, model.spin_drag == 0, "no drag on rotations, but there is"),
+        (model.rotational_drag, model.rotational_drag == 0, "no drag on rotations, but there is"),
         (model.normal, model.normal > 0, "tangential damping beside normal damping only, which is"),
         (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
     ):

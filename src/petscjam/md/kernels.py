@@ -59,7 +59,7 @@ class Law(NamedTuple):
     exponent: float | None
     absolute: float | None
     body: float
-    spin_drag: float
+    rotational_drag: float
 
 
 class Disks(NamedTuple):
@@ -242,9 +242,9 @@ def _drag(chunk, q, F, R, law, rate, sums):
         cx, cy, spin = q[a, 2] - rate * q[a, 1], q[a, 3], q[a, 4] / R[a] + 0.5 * rate
         F[a, 0] -= law.body * cx
         F[a, 1] -= law.body * cy
-        F[a, 2] -= 2.0 * law.spin_drag * spin / R[a]
-        heat += law.body * (cx * cx + cy * cy) + law.spin_drag * spin * spin
-        couple += law.spin_drag * spin
+        F[a, 2] -= 2.0 * law.rotational_drag * spin / R[a]
+        heat += law.body * (cx * cx + cy * cy) + law.rotational_drag * spin * spin
+        couple += law.rotational_drag * spin
     sums[chunk, HEAT] += heat
     sums[chunk, WORK] = 0.5 * rate * couple  # of what keeps the fluid turning
 
@@ -341,7 +341,7 @@ def jump(q, m, L, old, new, bulk):
 def _force(chunk, q, disks, pairs, law, now, measure, measured):
     """Add the forces inside a chunk."""
     _add_pairs(chunk, q, disks.F, pairs, law, now, measure, measured)
-    if law.body != 0.0 or law.spin_drag != 0.0:
+    if law.body != 0.0 or law.rotational_drag != 0.0:
         _drag(chunk, q, disks.F, disks.R, law, now.rate, measured.sums)
 
 
@@ -557,7 +557,7 @@ def fastest(disks, pairs, law, exponent, strain):
     for a in range(len(s)):
         along = 0.5 * (law.normal + law.tangential) * s[a, 0] + law.body
         along += 0.5 * abs(law.normal - law.tangential) * np.sqrt(s[a, 1] ** 2 + s[a, 2] ** 2)
-        turning = 2.0 * law.rolls * law.tangential * s[a, 8] + 2.0 * law.spin_drag / R[a] ** 2
+        turning = 2.0 * law.rolls * law.tangential * s[a, 8] + 2.0 * law.rotational_drag / R[a] ** 2
         both = 8.0 * (law.rolls * law.tangential) ** 2 * (s[a, 6] ** 2 + s[a, 7] ** 2)
         rate = 0.5 * (along + turning + np.sqrt((along - turning) ** 2 + both)) / m[a]
         relaxation = max(relaxation, rate)

@@ -27,6 +27,7 @@ STEP = 0.05  # τe, VOT sec. II D
 # The largest products of dt and the rates of relaxation of two disks that touch, normal and tangential, with
 # which the energy budget misses less than 1 % of the heat (measured, docs/design/0015).
 ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
+DRAGS = {"drag": "stokes_drag", "spin_drag": "rotational_drag"}  # names in the file of a run, and of the fields
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Model:
         Elasticity of collisions Q = m/(kd τe) > 0 (VOT eq. 9).
     potential : Potential
         Of the repulsion, in units in which its energy scale is 1 for disks of diameter ds (VOT eq. 1).
-    drag, spin_drag : float
+    stokes_drag, rotational_drag : float
         Stokes drag, in m/τe and m ds²/τe: −ζ(v − γ̇ y x̂) on a disk and −ζr(θ̇ + γ̇/2) on its rotation.
 
     Raises
@@ -53,14 +54,14 @@ class Model:
     law: DampingLaw
     Q: float
     potential: Potential = POTENTIALS["harmonic-relative"]
-    drag: float = 0.0
-    spin_drag: float = 0.0
+    stokes_drag: float = 0.0
+    rotational_drag: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value, known in (
             ("Q", self.Q, ranges.Q),
-            ("drag", self.drag, ranges.DRAG),
-            ("spin_drag", self.spin_drag, ranges.DRAG),
+            ("stokes_drag", self.stokes_drag, ranges.DRAG),
+            ("rotational_drag", self.rotational_drag, ranges.DRAG),
         ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
@@ -92,7 +93,8 @@ class Model:
     @property
     def settings(self) -> dict[str, Any]:
         """Its numbers by name, as in the file of a run."""
-        numbers = {"Q": self.Q, "potential": self.potential.name, "drag": self.drag, "spin_drag": self.spin_drag}
+        drags = {name: getattr(self, item) for name, item in DRAGS.items()}
+        numbers = {"Q": self.Q, "potential": self.potential.name, **drags}
         return {"model": self.name, "law": self.law.name, **asdict(self.law), **numbers}
 
     @classmethod
@@ -110,7 +112,7 @@ class Model:
             if kind is None:
                 raise InputError(f"settings: the law {settings['law']!r} is unknown; known are {', '.join(LAWS)}")
             law = kind(**{item.name: settings[item.name] for item in fields(kind)})
-        drags = {name: settings[name] for name in ("drag", "spin_drag") if name in settings}
+        drags = {item: settings[name] for name, item in DRAGS.items() if name in settings}
         return cls(law, settings["Q"], potential(settings["potential"]), **drags)
 
     @property
@@ -136,7 +138,7 @@ class Model:
     @property
     def body(self) -> float:
         """Friction coefficient of a disk against the affine flow, in m/τe."""
-        return self.law.body / self.Q + self.drag
+        return self.law.body / self.Q + self.stokes_drag
 
     @property
     def fluid(self) -> float:
@@ -149,7 +151,7 @@ class Model:
         What more contacts demand is found on the way (:meth:`petscjam.md.simulation.Simulation.demand`).
         """
         normal, tangential = self._pair
-        fastest = max(normal, tangential) + max(self.body, 8 * self.spin_drag)
+        fastest = max(normal, tangential) + max(self.body, 8 * self.rotational_drag)
         return min(LARGEST_STEP, INTEGRATORS[integrator] / fastest if fastest else LARGEST_STEP)
 
     @property

@@ -85,7 +85,7 @@ def shear(
     output : path
         File of the run (HDF5), whole at every moment.
     **options
-        As for :func:`run`: integrator, threads, exponent, drag, spin_drag, row_time, resume, overwrite,
+        As for :func:`run`: integrator, threads, exponent, stokes_drag, rotational_drag, row_time, resume, overwrite,
         progress, frames.
 
     Returns
@@ -143,8 +143,8 @@ def run(
     integrator: str = "heun",
     threads: int = 1,
     exponent: float | None = None,
-    drag: float = 0.0,
-    spin_drag: float = 0.0,
+    stokes_drag: float = 0.0,
+    rotational_drag: float = 0.0,
     row_time: float | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -164,7 +164,7 @@ def run(
         They pay from ten thousand disks on; results do not depend on them.
     exponent : float
         α of the repulsion (VOT eq. 1); left out, that of ``start``, or 2.
-    drag, spin_drag : float
+    stokes_drag, rotational_drag : float
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     row_time : float
         τe between two rows of the time series, at least 50 steps; left out, a thousandth of the run, or 10³
@@ -205,7 +205,7 @@ def run(
         potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
         if exponent is not None:
             potential = power_law(exponent, potential.relative)
-        law = Model.of(model, Q, potential=potential, drag=drag, spin_drag=spin_drag)
+        law = Model.of(model, Q, potential=potential, stokes_drag=stokes_drag, rotational_drag=rotational_drag)
         dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
         total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)
         made: dict[str, Any] = {"dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads}

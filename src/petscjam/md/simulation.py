@@ -93,7 +93,7 @@ class Simulation:
             exponent,
             absolute,
             float(model.body),
-            float(model.spin_drag),
+            float(model.rotational_drag),
         )
         self._threads = True if threads > 1 else None  # None: the kernel of one thread alone is compiled
         self.skin = SKIN

@@ -103,7 +103,7 @@ def stiffness(d, model):
 def disk_forces(state, model):
     """Return the force (N, 2) and the torque (N,) on every disk: contacts, and the drag of the fluid."""
     forces = -model.body * peculiar(state)
-    torques = -model.spin_drag * (state.spins + state.rate / 2)
+    torques = -model.rotational_drag * (state.spins + state.rate / 2)
     for c in contacts(state, model):
         forces[c.i] += c.elastic + c.dissipative
         forces[c.j] -= c.elastic + c.dissipative
@@ -135,7 +135,7 @@ def dissipation(state, model):
     """
     heat = sum(c.heat for c in contacts(state, model)) + model.fluid * state.rate**2 * state.length**2
     for v, spin in zip(peculiar(state), state.spins, strict=True):
-        heat += model.body * v @ v + model.spin_drag * (spin + state.rate / 2) ** 2
+        heat += model.body * v @ v + model.rotational_drag * (spin + state.rate / 2) ** 2
     return heat
 
 
