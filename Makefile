@@ -9,8 +9,8 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
 READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-certificates bench-scaling bench-lammps bench-shear clean
-.DEFAULT_GOAL := help
+.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-bounds
+bench-scaling bench-lammps bench-shear clean .DEFAULT_GOAL := help
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -69,8 +69,8 @@ figures: $(READY) ## every figure of the paper with 4096 disks, and its page in 
 bench: $(READY) ## spectrum and direct sweep against bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
 
-bench-certificates: $(READY) ## factorisations and true errors of certified spectra over 52 packings (five minutes)
-	mpi_runs/certificates.sh
+bench-bounds: $(READY) ## factorisations, error bounds and true errors of spectra of 52 packings (five minutes)
+	mpi_runs/error_bounds.sh
 
 bench-scaling: $(READY) ## strong and weak scaling of spectra on 1 and 2 ranks, with a figure (five minutes)
 	. tools/mpi-env.sh && $(PYTHON) benchmarks/scaling.py -o docs/figures/scaling.png

@@ -1,4 +1,4 @@
-"""The certified spectrum against bare MUMPS, against one solve a frequency, and against SciPy, as ratios.
+"""The spectrum compared with bare MUMPS, with one solve for each frequency, and with SciPy, as ratios.
 
     mpirun -n R python benchmarks/spectrum.py PACKING.h5 [--direct 60] [--splu] [--law stokes] [--rtol 1e-6]
 
@@ -69,11 +69,11 @@ def main():
             f"{whole / (s.factorisations * bare):.2f} × factorisations × bare MUMPS"
         )
         grid = np.geomspace(1e-8, 1e2, 1001)
-        print(f"certificate over 1e-8…1e2   {s.error(grid).max():8.1e}")
+        print(f"error bound over 1e-8…1e2   {s.error(grid).max():8.1e}")
         if options.direct:
             above = (true > s.error(omegas)).sum()
             print(f"{options.direct} direct frequencies      {direct:8.2f} s   {direct / whole:.1f} × slower")
-            print(f"worst true error            {true.max():8.1e}, {above} above the certificate")
+            print(f"worst true error            {true.max():8.1e}, {above} above the bound")
         if options.splu and comm.size == 1:
             print(f"60 × splu                   {60 * slow:8.1f} s   {60 * slow / whole:.0f} × slower")
         print(f"MUMPS memory, largest rank  {s.performance['mumps_MB']:8.0f} MB")

@@ -151,7 +151,7 @@ def test_a_line_of_the_log_says_what_it_cost(packings, tmp_path, comm):
     run(packings[:1], tmp_path / "g.h5", comm, log=lines.append)
     g = pj.read_modulus(tmp_path / "g.h5")
     assert f"{g.performance['factorisations']} factorisations" in lines[0]
-    assert f"certificate {g.errors.max():.1e}" in lines[0]
+    assert f"error bound {g.errors.max():.1e}" in lines[0]
     for word in ("MUMPS", "MB", "flops", " s"):
         assert word in lines[0]
 
@@ -345,7 +345,7 @@ def test_several_beta_are_one_model_if_that_is_asked_for(packings, tmp_path, cap
     results = list(pj.read_moduli(output).values())
     assert {g.damping for g in results} == {pj.ContactDamping(beta) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)}
     assert len({tuple(g.model.nodes) for g in results}) == (1 if family else 5)
-    assert [g.model.definite for g in results] == [not family] * 5  # estimates, or certificates
+    assert [g.model.definite for g in results] == [not family] * 5  # estimates, or bounds
     way = "one model in (omega, beta) a packing; its errors are estimates" if family else "solved for one by one"
     assert f"5 values of beta: {way}\n" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Facts that a reduced model and its certificate obey: direct solves, dense algebra, integration in time."""
+"""Facts that a reduced model and its error bound obey: direct solves, dense algebra, integration in time."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -175,7 +175,7 @@ def test_shear_modulus_of_sixteen_disks_is_that_of_its_own_shear_log():
     assert abs(s.G0 - 0.1088011) <= s.limit_errors[0, 0] * 0.1088011 + 5e-8
 
 
-# ---- the certificate against direct solves
+# ---- the error bound against direct solves
 
 
 def test_every_law_is_tested():
@@ -311,7 +311,7 @@ def test_a_rattler_that_touches_nobody_moves_with_the_fluid():
 
 
 def test_a_tolerance_below_rounding_is_met_or_called_so():
-    """Rounding is of order 1e-14 here; a certificate of a thousand times as much is no news."""
+    """Rounding is of order 1e-14 here; so a bound of a thousand times as much says nothing."""
     s = pj.spectrum(
         jammed(1e-3, 24, 23),
         (1e-5, 1.0),
@@ -333,7 +333,7 @@ def test_a_crystal_moves_as_the_cell_does(law, span):
     assert s.factorisations <= 3
 
 
-# ---- the certificate against dense algebra
+# ---- the error bound against dense algebra
 
 
 def dense(packing, law, strain="simple-shear", prestress=True):
@@ -546,7 +546,7 @@ def test_where_the_residual_is_all_rounding_nothing_is_promised_beyond_the_span(
 
 
 @two_laws
-def test_a_span_on_a_plateau_is_certified(law):
+def test_a_span_on_a_plateau_is_bounded(law):
     s = model(jammed(1e-2), 1e-6, (1e-8, 1e-6), law)
     assert s.error(np.geomspace(1e-8, 1e-6, 50)).max() < 1e-9
     assert s.factorisations <= 3
@@ -796,7 +796,7 @@ def test_the_model_does_not_depend_on_the_number_of_ranks(comm, law):
 
 @pytest.mark.parallel(nprocs=[1, 2, 3])
 @two_laws
-def test_the_certificate_does_not_depend_on_the_number_of_ranks(comm, law):
+def test_the_bound_does_not_depend_on_the_number_of_ranks(comm, law):
     from mpi4py import MPI
 
     omega = np.geomspace(1e-8, 1e2, 40)
@@ -957,7 +957,7 @@ def test_the_estimate_for_a_packing_that_is_no_minimum_is_of_the_right_size(law)
 
 
 @any_law
-def test_without_prestress_a_packing_that_is_no_minimum_is_certified(law):
+def test_without_prestress_a_packing_that_is_no_minimum_is_bounded(law):
     g = direct(shaken(), law, prestress=False)
     s = model(shaken(), law=law, prestress=False)
     assert s.definite
@@ -986,7 +986,7 @@ def test_motions_that_nothing_resists_are_held():
 
 
 @two_laws
-def test_a_minimum_that_yields_to_shear_is_certified(law):
+def test_a_minimum_that_yields_to_shear_is_bounded(law):
     packing = jammed(1e-3, 24, 6)
     g = direct(packing, law)
     assert g.G0 < 0

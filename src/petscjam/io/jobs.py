@@ -291,13 +291,13 @@ class ModulusAnalysis(Analysis):
 
     def line(self, name: str, g: ComplexModulus, seconds: float, before: ComplexModulus | None) -> str:
         """Return a line of the log: what the result took, and its error."""
-        made, certificate = g.performance, f"residual {g.residuals.max():.1e}"
+        made, accuracy = g.performance, f"residual {g.residuals.max():.1e}"
         same = g.model and before and before.model and g.model.nodes is before.model.nodes
         if g.model:
-            certificate = f"{'certificate' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
+            accuracy = f"{'error bound' if g.model.definite else 'estimate'} {g.errors.max():.1e}"
         flops = f"{made['flops']:.1e} flops, " if "flops" in made else ""
         return (
-            f"{name}: {'the same' if same else made['factorisations']} factorisations, {certificate}, "
+            f"{name}: {'the same' if same else made['factorisations']} factorisations, {accuracy}, "
             f"MUMPS {made['mumps_MB']:.0f} MB, {flops}{seconds:.1f} s"
         )
 

@@ -1,4 +1,4 @@
-"""The reduced model of (K, B): responses at a few frequencies, chosen one by one until the certificate holds.
+"""The reduced model of (K, B): responses at a few frequencies, chosen one by one until the error bound is below rtol.
 
 Every rank holds its rows of the motions and the same small matrices between them (docs/theory.md, Reduced
 model).
@@ -33,7 +33,7 @@ from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
 
-PER_DECADE = 32  # frequencies at which the certificate is asked for
+PER_DECADE = 32  # frequencies at which the error bound is tested
 EVERY = 4  # and every so many of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
 MOST_NODES = 40
@@ -120,7 +120,7 @@ def spectrum(
             zero_modes=problem.zero_modes,
             origin=describe(problem, name, strain, law),
         )
-        model = _until_certified(grow, make, progress)
+        model = _until_bounded(grow, make, progress)
         limits, limit_errors = comm.bcast(_own_limits(model, problem.notes))
         if not limit_errors[1].max() < PLATEAU:
             found = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
@@ -179,7 +179,7 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
         return np.full((2, 2), np.nan), np.full((2, 2), np.nan)
 
 
-def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
+def _until_bounded(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
     """Add nodes where the bound is worst until it is met, or cannot be; return the model."""
     (low, high), rtol, comm = make.keywords["span"], make.keywords["rtol"], grow.problem.comm
     grid = per_decade(PER_DECADE, low, high)
@@ -207,9 +207,9 @@ def _until_certified(grow: _Projection, make: partial[Spectrum], progress: Repor
         grow.add(comm.bcast(float(fresh[np.argmax(there)])), order=ORDER)
     floor = float(model.error(grid).max())
     if not worst <= rtol:
-        grow.problem.notes.append(f"rtol = {rtol:g} is not met: the certificate says {worst:.1e}")
+        grow.problem.notes.append(f"rtol = {rtol:g} is not met: the error bound is {worst:.1e}")
     elif floor > rtol:
-        grow.problem.notes.append(f"rounding is the floor: the certificate says {floor:.1e}")
+        grow.problem.notes.append(f"limited by rounding errors: the error bound is {floor:.1e}")
     return model
 
 

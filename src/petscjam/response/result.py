@@ -32,7 +32,7 @@ class ComplexModulus(Judged):
     power_balance : (W,)
         |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V|: zero for an exact solution.
     errors : (W,)
-        Certified bound on |ΔG*|/|G*|; NaN where each frequency was solved for.
+        Bound on |ΔG*|/|G*|; NaN where each frequency was solved for.
     part_errors : (2, W)
         The same on |ΔG′|/|G′| and |ΔG″|/|G″|.
     G0, eta0 : float

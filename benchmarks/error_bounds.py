@@ -1,9 +1,9 @@
-"""How many factorisations a certified spectrum takes, and how true its certificate is, over a library.
+"""The number of factorisations of spectra, and their error bounds compared with true errors, over a library.
 
-    mpirun -n R python benchmarks/certificates.py FOLDER [--rtol 1e-6] [--frequencies 8]
+    mpirun -n R python benchmarks/error_bounds.py FOLDER [--rtol 1e-6] [--frequencies 8]
 
 Every packing under contact damping with β = 1 and 0.01 and under Stokes drag, with and without pre-stress;
-1e-8 … 1e2. At random frequencies G* is solved for directly and compared. Packings are dealt to ranks.
+1e-8 … 1e2. At random frequencies G* is compared with a direct solve. Packings are distributed over the ranks.
 """
 
 import argparse
@@ -20,7 +20,7 @@ SPAN = 1e-8, 1e2
 
 
 def judge(file, rtol, frequencies):
-    """Yield law, pre-stress, factorisations, worst certificate, and (true, bound) at each frequency."""
+    """Yield law, pre-stress, factorisations, largest bound, and (true, bound) at each frequency."""
     packing = pj.Packing.read(file)
     rng = np.random.default_rng(int(packing.checksum, 16))
     for name, law in COMPARED.items():
@@ -48,7 +48,7 @@ def main():
     if comm.rank:
         return
     print(f"{len(files)} packings, rtol {options.rtol:g}, {SPAN[0]:g} to {SPAN[1]:g}")
-    print(f"{'law':10} {'pre-stress':10} {'factorisations: spectra':50} worst certificate")
+    print(f"{'law':10} {'pre-stress':10} {'factorisations: spectra':50} largest bound")
     for name in COMPARED:
         for prestress in (True, False):
             some = [row for row in rows if row[:2] == (name, prestress)]
@@ -61,12 +61,12 @@ def main():
     print(f"most factorisations: {max(row[2] for row in rows)}")
     above = true > bound
     print(
-        f"{len(true)} direct solves at random frequencies: {above.sum()} above the certificate, "
+        f"{len(true)} direct solves at random frequencies: {above.sum()} above the bound, "
         f"by at most {np.max(true - bound, where=above, initial=0):.1e}"
     )
     loose = bound[seen] / true[seen]
     print(
-        f"certificate over true error where that is above 1e-10 ({seen.sum()} of them): "
+        f"bound over true error where that is above 1e-10 ({seen.sum()} of them): "
         f"median {np.median(loose):.2f}, most {loose.max():.1f}"
     )
 
