@@ -1,4 +1,4 @@
-"""Argument types: what a number, a list or a range in a text stands for."""
+"""Argument types: the numbers, lists and ranges that a text stands for."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 
 
 def parsed(text: str) -> float:
-    """Return the finite number that ``text`` is, as C or Fortran (1.5D-3) writes it.
+    """Return the finite number in ``text``, in the notation of C or Fortran (1.5D-3).
 
-    All text goes through here: Python's own ``float`` takes ``1_5``, too.
+    All numbers are parsed here, because Python's ``float`` also accepts ``1_5``.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def parsed(text: str) -> float:
 
 
 def parsed_whole(text: str) -> int:
-    """Return the whole number that ``text`` is, written in decimal digits.
+    """Return the whole number in ``text``, written in decimal digits.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def parsed_whole(text: str) -> int:
 
 @dataclass(frozen=True)
 class Within:
-    """The parser ``parse`` of text; each number that it finds must lie in ``range``."""
+    """The parser ``parse``, with all numbers restricted to ``range``."""
 
     parse: Callable[[str], Any]
     range: Range
@@ -64,7 +64,7 @@ class Within:
 
 
 def path(text: str) -> Path:
-    """Parse the name of a file or a folder; Python takes an empty one for the current folder."""
+    """Parse the name of a file or a folder; an empty name, for Python the current folder, is refused."""
     if not text:
         raise argparse.ArgumentTypeError("the name is empty")
     return Path(text)

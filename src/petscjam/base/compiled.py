@@ -1,4 +1,4 @@
-"""Loops compiled by numba: kept on disk where that is possible, and with threads where those can start."""
+"""Loops compiled by numba: stored on disk if possible, and with threads if they can start."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petscjam.base.errors import InputError, shown
 try:
     import numba
 
-    numba.get_num_threads()  # starts them: a layer that is missing is noticed here
+    numba.get_num_threads()  # starts them: a missing threading layer raises here
 except Exception as error:
     raise InputError(
         f"numba cannot start: {' '.join(str(error).split())}; its settings are the variables NUMBA_…"
@@ -28,15 +28,15 @@ T = TypeVar("T")
 
 
 def njit(**options: Any) -> Callable[[T], T]:
-    """Return numba.njit with these options; with ``cache`` the result is kept on disk, if that can be.
+    """Return numba.njit with these options; with ``cache`` the compiled code is stored on disk if possible.
 
-    Where that cannot be written or read, a warning says so, and the loop is compiled at every start.
+    If it cannot be written or read, there is a warning, and the loop is compiled at every start.
     """
     cache = options.pop("cache", False)
 
     def decorate(function: T) -> T:
         loop = numba.njit(**options)(function)
-        if cache and loop is not function:  # it is with NUMBA_DISABLE_JIT
+        if cache and loop is not function:  # true with NUMBA_DISABLE_JIT
             try:
                 loop.enable_caching()
             except RuntimeError as error:  # no folder can be written
@@ -69,7 +69,7 @@ def _warn(error: Exception) -> None:
 
 
 def build() -> dict[str, str]:
-    """Return what the last bits of a result depend on beside its source: numba and the processor."""
+    """Return what the last bits of a result depend on apart from the source code: numba and the processor."""
     from llvmlite.binding import get_host_cpu_name
 
     own: str | None = numba.config.CPU_NAME  # type: ignore[attr-defined]
@@ -82,7 +82,7 @@ def use_threads(count: int) -> None:
     Raises
     ------
     InputError
-        If there are fewer (NUMBA_NUM_THREADS), or this process was forked off: threads do not survive that.
+        If there are fewer (NUMBA_NUM_THREADS), or this process was forked from one that has threads.
     """
     if not 1 <= count <= MOST_THREADS:
         raise InputError(f"threads must be from 1 to {MOST_THREADS} (NUMBA_NUM_THREADS), not {shown(count)}")

@@ -1,16 +1,16 @@
-"""The two ways in which petscjam refuses: bad input, and a computation that cannot be trusted."""
+"""The two kinds of errors: wrong input, and a computation whose result is not reliable."""
 
 
 class InputError(ValueError):
-    """Something the user gave is wrong; the message names the value and what to do. Exit status 2."""
+    """An input is wrong; the message names the value and what to do. Exit status 2."""
 
 
 class SolverError(RuntimeError):
-    """A solve failed or its result cannot be trusted; the message says why. Exit status 1."""
+    """A solve failed or its result is not reliable; the message gives the reason. Exit status 1."""
 
 
 class DoubtfulWarning(UserWarning):
-    """A result is there, but its numbers are doubtful."""
+    """There is a result, but its numbers may be inaccurate."""
 
 
 def shown(value: object) -> str:
@@ -21,5 +21,5 @@ def shown(value: object) -> str:
 
 
 def readable(name: str) -> str:
-    """Return the name of a file with ? for bytes that are no text: neither HDF5 nor UTF-8 can keep them."""
+    """Return the name of a file with ? for bytes that are not UTF-8, which HDF5 cannot store."""
     return name.encode(errors="replace").decode()

@@ -1,13 +1,12 @@
-"""Files that are whole or absent: atomic writing, and reading that says what is wrong.
+"""Files that are whole or absent: atomic writing, and reading with error messages that name the fault.
 
-HDF5 never touches the disk here. A file is built in memory and its bytes are moved into place by
-plain Python, so neither a kill nor a full disk leaves half a file, an error of the disk surfaces as
-an OSError at a known place, a parallel build of h5py behaves as a serial one, and no file system has to
-have locks.
+The HDF5 library does not write to the disk. A file is built in memory, and Python writes its bytes to a temporary
+file and renames it. So neither a kill nor a full disk leaves an incomplete file, an error of the disk is an
+OSError at a known place, a parallel build of h5py behaves like a serial one, and the file system needs no locks.
 
-Behind the bytes of HDF5, which reads no further, stands their digest (:data:`MARK` and 32 bytes, BLAKE2b). It
-is compared before HDF5 sees a file, because a single wrong bit is read as another number, or stops HDF5 for
-good. A file of another program, or that another program has changed, has none.
+The bytes of HDF5 are followed by their digest (:data:`MARK` and 32 bytes, BLAKE2b), which the HDF5 library
+ignores. It is compared before HDF5 reads a file, because a single wrong bit can change a number or make HDF5
+hang. A file that another program has written or changed has no digest.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ if TYPE_CHECKING:
     import h5py
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-MARK, DIGEST = b"petscjam blake2b", 32  # in front of the digest, and its bytes
+MARK, DIGEST = b"petscjam blake2b", 32  # before the digest, and the length of the digest
 PIECE = 2**20  # bytes read at a time
-ROOM = 24  # bytes that the name of a temporary file is longer
-FREE, RATIO = 2**26, 1000  # bytes that a dataset may take without being stored; most that compression saves
-TYPES = {  # kinds of NumPy, and whether it is an array, of what annotations of dataclasses say
+ROOM = 24  # additional bytes in the name of a temporary file
+FREE, RATIO = 2**26, 1000  # bytes that a dataset may have without being stored; largest factor of compression
+TYPES = {  # annotations of dataclasses: kinds of NumPy, and whether it is an array
     "Array": ("f", True),
     "Integers": ("iu", True),
     "NDArray[np.int64]": ("iu", True),
@@ -51,7 +50,7 @@ VERSIONS = ("v108", "latest")  # H5MD recommends version 2 of the file format: m
 
 @contextmanager
 def understanding(what: str) -> Iterator[None]:
-    """Turn whatever the block stumbles over in a file it decodes into an InputError. Only decode in it."""
+    """Turn any error in the block, which decodes a file, into an InputError. The block must only decode."""
     try:
         yield
     except InputError:
@@ -72,7 +71,7 @@ def understanding(what: str) -> Iterator[None]:
 
 @contextmanager
 def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Turn an OSError into an InputError, and see that every InputError names ``path``."""
+    """Turn an OSError into an InputError, and add ``path`` to the message of every InputError."""
     try:
         yield
     except InputError as error:
@@ -84,7 +83,7 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
 
 
 def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()) -> None:
-    """Refuse a ``path`` that could not be written at the end of the work, or should not be.
+    """Refuse a ``path`` that cannot be written at the end of the computation, or must not be written.
 
     Raises
     ------
@@ -104,7 +103,7 @@ def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable
 
 
 def check_folder(path: str | PathLike[str]) -> None:
-    """Refuse a ``path`` that cannot be written where it lies, or where it points to as a link.
+    """Refuse a ``path`` that cannot be written in its folder, or in the folder of its target if it is a link.
 
     Raises
     ------
@@ -113,7 +112,7 @@ def check_folder(path: str | PathLike[str]) -> None:
     """
     target = Path(os.path.realpath(path))
     folder = target.parent
-    if target.is_symlink():  # realpath goes no further
+    if target.is_symlink():  # realpath stops here
         raise InputError(f"{path}: is a link that points to itself")
     if not folder.is_dir():
         raise InputError(f"{path}: there is no folder {folder}")
@@ -129,17 +128,16 @@ def _same(a: str | PathLike[str], b: str | PathLike[str]) -> bool:
 
 
 def write_atomically(path: str | PathLike[str], data: bytes) -> None:
-    """Replace the file at ``path`` by ``data``, wholly or not at all; its mode stays.
+    """Replace the file at ``path`` by ``data``, completely or not at all; its permissions stay.
 
-    Where it has other names (hard links), they stay names of the one file: it is overwritten, while the whole
-    lies beside it.
+    If it has other names (hard links), it is overwritten in place, while a complete copy exists in the same folder.
 
     Raises
     ------
     InputError
         If the disk is full, the folder is missing or not writable, ….
     """
-    target = Path(os.path.realpath(path))  # a link stays a link
+    target = Path(os.path.realpath(path))  # a link remains a link
     temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     with naming(path):
         try:
@@ -156,14 +154,14 @@ def write_atomically(path: str | PathLike[str], data: bytes) -> None:
             with suppress(OSError):
                 temporary.unlink()
             raise
-        with naming(f"{path}: cannot be overwritten, is whole in {temporary}"), open(target, "r+b") as file:
+        with naming(f"{path}: cannot be overwritten; the complete file is {temporary}"), open(target, "r+b") as file:
             _write_through(file, data)
             file.truncate()
         temporary.unlink()
 
 
 def _write_through(file: BinaryIO, data: bytes) -> None:
-    """Write as far as to the disk."""
+    """Write to the disk, not only to the cache of the system."""
     file.write(data)
     file.flush()
     os.fsync(file.fileno())
@@ -198,7 +196,7 @@ def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5p
 
 
 def group(parent: h5py.Group, path: str) -> h5py.Group:
-    """Return the group at ``path``, made if need be. It keeps no time: the same content, the same bytes."""
+    """Return the group at ``path``, made if necessary. It stores no time: equal content gives equal bytes."""
     import h5py
 
     timeless = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
@@ -210,7 +208,7 @@ def group(parent: h5py.Group, path: str) -> h5py.Group:
 
 
 def _new_h5(memory: BytesIO) -> h5py.File:
-    """Do what h5py.File does, but keep no time of the root group."""
+    """Do what h5py.File does, but store no time of the root group."""
     import h5py
 
     timeless, access = h5py.h5p.create(h5py.h5p.FILE_CREATE), h5py.h5p.create(h5py.h5p.FILE_ACCESS)
@@ -228,8 +226,8 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
     Raises
     ------
     InputError
-        If the file is missing or not HDF5, or if the block stumbles over what it reads. An InputError
-        raised in the block gets the path in front of its message. So only decode in the block.
+        If the file is missing or not HDF5, or if the block raises an error on its content. The path is put before
+        the message of an InputError of the block. The block must only decode.
     """
     import h5py
 
@@ -246,7 +244,7 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
 
 
 def check_type(name: str, value: Any, annotation: str) -> None:
-    """Refuse a ``value`` from a file that is not what a dataclass says of it; None passes, and unknown types.
+    """Refuse a ``value`` of another type than the annotation of a dataclass; None and unknown types are accepted.
 
     Raises
     ------
@@ -270,12 +268,12 @@ def check_shapes(where: str, shapes: Mapping[str, str], values: Mapping[str, Any
     Parameters
     ----------
     where : str
-        What to call them in a message.
+        Their name in a message.
     shapes : mapping
-        The axes of each array by its name, as ``"W 2"``: the same letter, the same length, above 0 but for F
+        The axes of each array by its name, as ``"W 2"``: equal letters mean equal lengths, above 0 except for F
         and C.
     values : mapping
-        The arrays; None passes.
+        The arrays; None is accepted.
 
     Raises
     ------
@@ -298,7 +296,7 @@ def check_shapes(where: str, shapes: Mapping[str, str], values: Mapping[str, Any
 
 
 def h5_format(path: str | PathLike[str]) -> str | None:
-    """Return the attribute ``format`` of an HDF5 file, which those of petscjam have but for packings.
+    """Return the attribute ``format`` of an HDF5 file; files of petscjam have it, except packings.
 
     Raises
     ------
@@ -314,14 +312,14 @@ def h5_format(path: str | PathLike[str]) -> str | None:
 
 
 def _mark(raw: BinaryIO) -> bool:
-    """Tell whether there is a digest at the end."""
+    """Return whether there is a digest at the end."""
     length = raw.seek(0, os.SEEK_END)
     raw.seek(max(0, length - len(MARK) - DIGEST))
     return raw.read(len(MARK)) == MARK
 
 
 def _is_whole(raw: BinaryIO) -> bool:
-    """Tell whether the bytes in front of the digest have that digest."""
+    """Return whether the bytes before the digest have this digest."""
     left = raw.seek(0, os.SEEK_END) - len(MARK) - DIGEST
     found = blake2b(digest_size=DIGEST)
     raw.seek(0)
@@ -333,7 +331,7 @@ def _is_whole(raw: BinaryIO) -> bool:
 
 
 def _check_sizes(file: h5py.File, length: int) -> None:
-    """Refuse datasets that are larger than what a file of so many bytes can hold."""
+    """Refuse datasets that are larger than a file of ``length`` bytes can contain."""
     import h5py
 
     def check(name: str, node: Any) -> None:
@@ -341,6 +339,6 @@ def _check_sizes(file: h5py.File, length: int) -> None:
             stored = min(length, node.id.get_storage_size())
             asked, held = node.size * node.dtype.itemsize, stored * (RATIO if node.chunks else 1)
             if asked > FREE + held:
-                raise InputError(f"{name} asks for {asked:.2g} bytes, and the file has {length}: damaged")
+                raise InputError(f"{name} needs {asked:.2g} bytes, but the file has {length}: damaged")
 
     file.visititems(check)

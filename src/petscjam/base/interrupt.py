@@ -1,8 +1,8 @@
-"""SIGINT and SIGTERM: noted when they come, obeyed where the work can stop.
+"""SIGINT and SIGTERM: recorded when they arrive, handled where the computation can stop.
 
-An exception in the middle of a compiled kernel, of PETSc or of a row of a run leaves half of something, and
-on several ranks the others waiting. So a signal only sets a flag, and :func:`check` looks at it between
-factorisations, rows, packings.
+An exception inside a compiled kernel, PETSc or a row of a run would leave incomplete data, and other ranks would
+wait without end. So a signal only sets a flag, and :func:`check` tests it between factorisations, rows and
+packings.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal, where the work can stop. ``args`` holds its number."""
+    """Raised after a signal, where the computation can stop. ``args`` has its number."""
 
     @property
     def status(self) -> int:
@@ -23,7 +23,7 @@ class Interrupted(KeyboardInterrupt):
         return 128 + int(self.args[0])
 
     def __str__(self) -> str:
-        return f"stopped by {signal.Signals(self.args[0]).name}; what was finished is kept"
+        return f"stopped by {signal.Signals(self.args[0]).name}; finished results are kept"
 
 
 _noted: list[int] = []
@@ -32,7 +32,7 @@ _listening = False
 
 @contextmanager
 def listening(*signals: signal.Signals) -> Iterator[None]:
-    """Note ``signals`` instead of what they would do, unless that is the caller's own choice."""
+    """Record ``signals`` instead of their default action, unless the caller has set a handler."""
     global _listening
     if _listening or threading.current_thread() is not threading.main_thread():
         yield
@@ -53,7 +53,7 @@ def listening(*signals: signal.Signals) -> Iterator[None]:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Let Ctrl-C wait for :func:`check` or, at the latest, the end of the outermost such block."""
+    """Defer Ctrl-C to :func:`check` or, at the latest, to the end of the outermost such block."""
     outermost = not _listening
     with listening(signal.SIGINT):
         try:
@@ -64,7 +64,7 @@ def deferred() -> Iterator[None]:
 
 
 def check(comm: Any = None) -> None:
-    """Stop if a signal has come: to this rank or, where ``comm`` is given, any of its ranks; collective.
+    """Stop if a signal has arrived at this rank or, with ``comm``, at any of its ranks; then collective.
 
     Raises
     ------

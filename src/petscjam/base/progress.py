@@ -18,7 +18,7 @@ def part(report: Report, k: int, n: int, label: str = "") -> Report:
 
 @contextmanager
 def progress(label: str, *, show: bool) -> Iterator[Report]:
-    """Give a function of the fraction done and a text; it prints nothing unless ``show`` (rank 0)."""
+    """Yield a function of the completed fraction and a text; it prints only with ``show`` (rank 0)."""
     if not show:
         yield lambda fraction, text: None
     elif sys.stderr.isatty():

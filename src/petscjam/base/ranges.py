@@ -1,8 +1,8 @@
-"""The range of every number that a user gives: one place, asked by the command and by the functions.
+"""The range of every number that a user gives, for the command and for the functions.
 
-Ends are where physics or the arithmetic ends: beyond, squares and quotients leave the range of floating-point
-numbers, or HDF5 stores no such integer. What is within, but takes too many steps or too much memory, is
-refused by :func:`petscjam.parallel.memory.require` and :data:`MOST_STEPS`.
+The limits are those of physics or of arithmetic: beyond them squares and quotients overflow or underflow, or HDF5
+cannot store the integer. Values inside the range that need too many steps or too much memory are refused by
+:func:`petscjam.parallel.memory.require` and :data:`MOST_STEPS`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from petscjam.base.errors import InputError, shown
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``, both counted, perhaps whole ones alone."""
+    """Numbers from ``low`` to ``high``, both included; with ``whole`` only whole numbers."""
 
     low: float
     high: float
@@ -33,7 +33,7 @@ class Range:
         return f"{'a whole number ' * self.whole}from {self.low:g} to {self.high:g}"
 
     def check(self, what: str, value: object) -> None:
-        """Refuse a ``value`` outside.
+        """Refuse a ``value`` outside the range.
 
         Raises
         ------
@@ -59,7 +59,7 @@ POLYDISPERSITY = Range(0, 0.3)
 BUDGET = Range(1, 1e15, whole=True)
 INDEX = Range(0, 1e9, whole=True)
 
-# Response: the least and the most frequency have squares
+# Response: the squares of the lowest and of the highest frequency are finite and above 0
 OMEGA = Range(1e-100, 1e100)
 TIME = Range(0, 1e100)
 FRICTION = Range(0, 1e9)  # every number that a damping law takes

@@ -15,7 +15,7 @@ def per_decade(points: int, low: float, high: float) -> Array:
     Parameters
     ----------
     points : int
-        At least so many steps a decade.
+        Smallest number of steps per decade.
     low, high : float
         0 < low ≤ high.
 
