@@ -20,7 +20,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, listening
 from petscjam.cli.streams import Stream
 
-STOPPING = 10.0  # seconds that ranks wait for each other where a signal stops them
+STOPPING = 10.0  # seconds that ranks wait for each other after a signal
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,13 +35,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             out.flush()
             if out.error is not None:
                 print(f"petscjam: standard output: {out.error.strerror}", file=err)
-    if arguments is None:  # nothing is left that a signal could harm
+    if arguments is None:  # all output is complete
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     return status or int(out.error is not None)
 
 
 def _main(arguments: Sequence[str] | None) -> int:
-    # A rank that waits gives way to other work (Open MPI): much faster where the cores are shared.
+    # A waiting rank yields its core (Open MPI): much faster if other programs use the cores.
     os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
     from mpi4py import MPI
 
@@ -64,7 +64,7 @@ def _main(arguments: Sequence[str] | None) -> int:
 
 
 def run(argv: list[str], comm: Any) -> int:
-    """Parse ``argv`` and do what it says."""
+    """Parse ``argv`` and run the verb."""
     from petscjam.cli.config import misspelt
     from petscjam.cli.parser import build_parser
     from petscjam.parallel.petsc import set_options
@@ -82,7 +82,7 @@ def run(argv: list[str], comm: Any) -> int:
 
 
 def join_negative(argv: list[str]) -> list[str]:
-    """Turn ``--omega -1:1:5`` into ``--omega=-1:1:5``: argparse would take the value for an option."""
+    """Turn ``--omega -1:1:5`` into ``--omega=-1:1:5``: argparse would read the value as an option."""
     joined: list[str] = []
     for word in argv:
         if joined and re.match(r"-[\d.]", word) and re.fullmatch(r"--[a-z-]+", joined[-1]):

@@ -1,4 +1,4 @@
-"""The verbs that ask what the response says; each packing's result is written as it comes."""
+"""The verbs that analyse the response, and figures; each result is written when it is finished."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petscjam.rows.damping import DampingLaw
 
 
 def analyse(options: argparse.Namespace, comm: Any) -> None:
-    """Do the analysis of a verb that is declared with it, of packing after packing."""
+    """Run the analysis that a verb declares, for all packings."""
     result, verb = options.declared
     function = resolve_name(options.analyse) if isinstance(options.analyse, str) else options.analyse
     settings = {name: getattr(options, name) for name in options.settings}
@@ -29,7 +29,7 @@ def analyse(options: argparse.Namespace, comm: Any) -> None:
 
 
 def figure(options: argparse.Namespace, comm: Any) -> None:
-    """Make a figure from packings on."""
+    """Make a figure of a paper: packings, results, picture and page."""
     from petscjam.base.progress import progress
     from petscjam.figures import Request, make_figure
     from petscjam.parallel.petsc import start

@@ -14,9 +14,9 @@ from petscjam.cli.renamed import current
 
 
 def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
-    """Return the options that the file of ``--config`` stands for, to be put in front of ``argv``.
+    """Return the options in the file of ``--config``, to be put before ``argv``.
 
-    Left out are those that exclude one in ``argv``.
+    Options that exclude one in ``argv`` are left out.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[An
     one.add_argument("--config")
     try:
         path = one.parse_known_args(argv)[0].config
-    except argparse.ArgumentError:  # no file is named: the parser of the verb complains
+    except argparse.ArgumentError:  # no file name: the parser of the verb raises the error
         path = None
-    if not path:  # an empty name: the same
+    if not path:  # an empty name: the same error
         return []
     with naming(path):
         return _words(path, argv, options, exclusive)
@@ -68,6 +68,6 @@ def _words(path: str, argv: list[str], options: Mapping[str, Any], exclusive: It
 
 
 def misspelt(option: str, known: list[str]) -> str:
-    """Say that ``option`` is unknown and what may have been meant."""
+    """Return the message that ``option`` is unknown, with a similar known one."""
     close = get_close_matches(option.split("=")[0], known, 1)
     return f"unknown argument {option}" + (f"; did you mean {close[0]}?" if close else "")

@@ -1,4 +1,4 @@
-"""Damping laws as options: every field of every law is one."""
+"""Damping laws as options: each field of each law is an option."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from petscjam.rows.damping import LAWS, ContactDamping, DampingLaw
 
 
 def option(item: Field) -> str:
-    """Return the option of a field of a law; one that is on by default is turned off."""
+    """Return the option of a field of a law; the option of a field that is true by default sets it to false."""
     return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
 
 
 def law_options(options: argparse.Namespace) -> list[str]:
-    """Return the options of damping laws that were given another value than the default."""
+    """Return the options of damping laws whose value is not the default."""
     given = ["--damping"] * (options.damping != ContactDamping.name)
     items = {item.name: item for law in LAWS.values() for item in fields(law)}
     return given + [option(item) for name, item in items.items() if getattr(options, name) is not None]

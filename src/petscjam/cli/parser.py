@@ -1,4 +1,4 @@
-"""The options of every verb, and one line for every mistake."""
+"""The options of every verb."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
 
 class Help(argparse.HelpFormatter):
-    """Help that tells the range of each number."""
+    """Help with the range of each number."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         known = f"; {action.type.range}" if isinstance(action.type, Within) else ""
@@ -52,15 +52,15 @@ class Help(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that reads a file of settings, too, and answers a mistake with one line."""
+    """An argument parser that also reads a file of settings; each error is one line."""
 
-    declare: Callable[[Parser], None] | None = None  # adds options when they are needed, not before
+    declare: Callable[[Parser], None] | None = None  # adds options when the verb is used
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, "formatter_class": Help, **kwargs})
 
     def complete(self) -> None:
-        """Add the options that are declared elsewhere."""
+        """Add the options of ``declare``."""
         if self.declare:
             declare, self.declare = self.declare, None
             declare(self)
@@ -118,7 +118,7 @@ def build_parser() -> Parser:
         help="many seeds: A to B, both counted, or a list A,B,…",
     )
     p.add_argument(
-        "--shear-stabilised", action="store_true", help="relax the shape of the cell, too; stable against shear"
+        "--shear-stabilised", action="store_true", help="also relax the shape of the cell: stable against shear"
     )
     p.add_argument(
         "--decompress", action="store_true", help="start each pressure from the packing of the next higher one"
@@ -176,14 +176,14 @@ def build_parser() -> Parser:
         known,
         "info",
         verbs.info,
-        "say what a packing, a result, a sheared run, or a folder of packings or of runs holds",
+        "print the content of a packing, a result, a sheared run, or a folder of packings or of runs",
     )
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     reading(p)
 
-    p = add(known, "import", verbs.import_, "turn another program's packing into ours (no rescaling)")
+    p = add(known, "import", verbs.import_, "import a packing of another program (lengths are not rescaled)")
     text = "jamBashBulk text, jsrc or jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ, H5MD"
-    p.add_argument("file", type=path, metavar="FILE", help=f"{text}; also packed by gzip, bzip2 or xz")
+    p.add_argument("file", type=path, metavar="FILE", help=f"{text}; also compressed by gzip, bzip2 or xz")
     reading(p)
     text = "minimise its energy again, at constant volume unless --pressure is given"
     p.add_argument("--relax", action="store_true", help=text)
@@ -199,7 +199,7 @@ def build_parser() -> Parser:
         help="of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and "
         "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
         "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), "
-        "lammps (a folder with the input of the same disks); default: as OUT ends, or xyz or csv",
+        "lammps (a folder with the input of the same disks); default: the extension of OUT, else xyz or csv",
     )
     p.add_argument(
         "--group", metavar="NAME", help="which modulus of a file with several; with --average a pattern, as 'N1024*'"
@@ -207,24 +207,24 @@ def build_parser() -> Parser:
     p.add_argument(
         "--average",
         action="store_true",
-        help="the mean over packings, with scatter and standard error; those not stable are left out",
+        help="mean over packings, with scatter and standard error; unstable packings are left out",
     )
     p.add_argument(
         "--omega",
         type=Within(frequencies, ranges.OMEGA),
         metavar="RANGE",
-        help="tts, csv: other frequencies than the stored ones, in 1/tau1: A:B:N or A,B,…",
+        help="tts, csv: frequencies in 1/tau1, instead of the stored ones: A:B:N or A,B,…",
     )
     p.add_argument(
         "--time",
         type=Within(points, ranges.TIME),
         metavar="RANGE",
-        help="gt: times in tau1: A:B:N or A,B,… (default ten a decade, 1/frequencies)",
+        help="gt: times in tau1: A:B:N or A,B,… (default ten per decade, inverse frequencies)",
     )
     p.add_argument(
-        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="lammps: how far its input shears (default 1)"
+        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="lammps: strain of the LAMMPS run (default 1)"
     )
-    output(p, "OUT", "file to write (default: FILE with the format's ending)", required=False, resume=False)
+    output(p, "OUT", "file to write (default: FILE with the extension of the format)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
@@ -244,7 +244,7 @@ def build_parser() -> Parser:
         type=Within(frequencies, ranges.OMEGA),
         default=(),
         metavar="RANGE",
-        help="frequencies in 1/tau1 (nearest of the sweep) whose displacements are kept",
+        help="frequencies in 1/tau1 at which displacements are stored (the nearest ones of --omega)",
     )
     p.add_argument(
         "--rtol",
@@ -253,25 +253,27 @@ def build_parser() -> Parser:
         help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
         "frequency (default 1e-6)",
     )
-    p.add_argument("--direct", action="store_true", help="one factorisation a frequency instead of the reduced model")
+    p.add_argument(
+        "--direct", action="store_true", help="one factorisation for each frequency instead of the reduced model"
+    )
     text = "one reduced model in (omega, beta) for all beta: its errors are estimates, not bounds"
     p.add_argument("--beta-family", action="store_true", help=text)
     team_size(p)
-    p.add_argument("--out-of-core", action="store_true", help="keep the factor on disk (MUMPS_OOC_TMPDIR)")
+    p.add_argument("--out-of-core", action="store_true", help="store the factor on disk (MUMPS_OOC_TMPDIR)")
     p.add_argument(
         "--block-low-rank",
         type=Within(number, ranges.COMPRESSION),
         default=0.0,
         metavar="X",
-        help="compress the factor to this relative accuracy, as 1e-9; refinement makes up for it (default 0: exact)",
+        help="relative accuracy of a compressed factor, as 1e-9; refinement corrects the solutions (default 0: exact)",
     )
-    output(p, "OUT.h5", "results, one group a packing")
+    output(p, "OUT.h5", "results, one group for each packing")
 
     for name, kind in KINDS.items():
         if kind.text:
             add(known, kind.verb or name, analyses.analyse, kind.text, RANKS).declare = partial(declare, kind=name)
 
-    text = "shear massive disks at a steady rate, in steps, or back and forth (units ds, m, tau_e)"
+    text = "shear massive disks at a constant rate, in steps of the rate, or in oscillation (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
     p.add_argument(
         "--rate",
@@ -279,18 +281,20 @@ def build_parser() -> Parser:
         metavar="X,…",
         help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)",
     )
-    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help="to shear by (default 10)")
+    p.add_argument(
+        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="amount of shear strain (default 10)"
+    )
     p.add_argument(
         "--then",
         type=pairs,
         metavar="RATE:STRAIN,…",
-        help="go on at other strain rates; 0:TIME is rest, for a time in tau_e",
+        help="continue at other strain rates; 0:TIME is rest, for a time in tau_e",
     )
     p.add_argument(
         "--bulk",
         choices=BULK,
-        help="what a change of the strain rate does at once: scale velocities and spins, add the "
-        "change of the linear profile, or move the edge alone (default scale)",
+        help="effect of a change of the strain rate: scale velocities and spins, add the "
+        "change of the linear profile, or move only the boundary (default scale)",
     )
     p.add_argument(
         "--oscillate",
@@ -300,7 +304,7 @@ def build_parser() -> Parser:
     )
     disks(p)
 
-    text = "raise the strain rate step by step, and lower it again (VOT eqs. 38-41)"
+    text = "increase the strain rate in small steps, and decrease it again (VOT eqs. 38-41)"
     p = add(known, "ramp", shearing.ramp, text, RANKS)
     p.add_argument(
         "--rate",
@@ -313,7 +317,7 @@ def build_parser() -> Parser:
         type=Within(number, ranges.RATE_SIZE),
         default=1e-3,
         metavar="X",
-        help="strain rate at which it turns, in 1/tau_e (default 1e-3)",
+        help="highest strain rate, in 1/tau_e (default 1e-3)",
     )
     p.add_argument(
         "--kappa",
@@ -325,7 +329,13 @@ def build_parser() -> Parser:
     disks(p)
 
     listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
-    p = add(known, "figure", analyses.figure, "draw a figure of Baumgarten & Tighe 2017 from packings on", RANKS)
+    p = add(
+        known,
+        "figure",
+        analyses.figure,
+        "make a figure of Baumgarten & Tighe 2017: packings, results, picture and page",
+        RANKS,
+    )
     p.add_argument("name", metavar="NAME", help=listing)
     p.add_argument(
         "--preset",
@@ -335,17 +345,21 @@ def build_parser() -> Parser:
     )
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)
-    p.add_argument("--existing", action="store_true", help="prepare no packings, go on with those in the folder")
-    text = "where packings, results, NAME.png and NAME.md go, for all figures (default runs/PRESET)"
+    p.add_argument("--existing", action="store_true", help="prepare no packings, use those in the folder")
+    text = "folder of packings, results, NAME.png and NAME.md, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 
     text = "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
     p = add(known, "plot", verbs.plot, text)
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
-    text = "of a sheared run: packing fraction and strain rate around each disk at its end (VOT fig. 27)"
+    text = "of a sheared run: packing fraction and strain rate around each disk in the last state (VOT fig. 27)"
     p.add_argument("--maps", action="store_true", help=text)
     output(
-        p, "FIG.png", "figure (default: the same name, .png; the ending picks the format)", required=False, resume=False
+        p,
+        "FIG.png",
+        "figure (default: the same name with .png; the extension gives the format)",
+        required=False,
+        resume=False,
     )
     return parser
 
@@ -370,7 +384,7 @@ def declare(p: Parser, kind: str) -> None:
 
 
 def reading(p: Parser) -> None:
-    """Add what a file of another program may not say."""
+    """Add the options for information that a file of another program may lack."""
     p.add_argument(
         "--index",
         type=Within(integer, ranges.INDEX),
@@ -378,7 +392,7 @@ def reading(p: Parser) -> None:
         metavar="K",
         help="which packing of a file with several, from 0 on (default 0)",
     )
-    text = "contact potential of a file that does not say it (default harmonic; of jsrc harmonic-relative)"
+    text = "contact potential, if the file does not contain it (default harmonic; for jsrc harmonic-relative)"
     p.add_argument("--potential", choices=POTENTIALS, help=text)
     p.add_argument(
         "--diameters",
@@ -394,7 +408,7 @@ def packings(p: Parser) -> None:
 
 
 def disks(p: Parser) -> None:
-    """Add what is sheared, and how it is integrated."""
+    """Add the options of disks, model and integrator."""
     p.add_argument(
         "--model",
         type=lambda text: text.split(","),
@@ -428,13 +442,13 @@ def disks(p: Parser) -> None:
         type=path,
         metavar="FILE",
         help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
-        "(export --to lammps), not at random",
+        "(export --to lammps), not from random positions",
     )
     p.add_argument(
         "--integrator",
         choices=INTEGRATORS,
         default="heun",
-        help="heun (VOT eqs. 21-24) or single: one evaluation of the forces a step (default heun)",
+        help="heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)",
     )
     p.add_argument(
         "--dt",
@@ -447,7 +461,7 @@ def disks(p: Parser) -> None:
         "--exponent",
         type=Within(number, ranges.EXPONENT),
         metavar="X",
-        help="of the repulsion V ~ overlap^X (default 2, or that of --start)",
+        help="exponent of the repulsion V ~ overlap^X (default 2, or that of --start)",
     )
     p.add_argument(
         "--stokes-drag",
@@ -469,7 +483,7 @@ def disks(p: Parser) -> None:
         type=Within(integer, ranges.THREADS),
         default=1,
         metavar="T",
-        help="of a run; they pay from 10000 disks on (default 1)",
+        help="threads of a run; useful from 10000 disks on (default 1)",
     )
     p.add_argument(
         "--row-time",
@@ -482,7 +496,7 @@ def disks(p: Parser) -> None:
         type=Within(integer, ranges.FRAMES),
         default=0,
         metavar="K",
-        help="snapshots for OVITO, in the folder OUT.frames (default 0)",
+        help="number of snapshots for OVITO, in the folder OUT.frames (default 0)",
     )
     output(p, "RUN.h5", "the run, or a folder for several")
 
@@ -509,32 +523,28 @@ def strain(p: Parser) -> None:
 
 
 def prestress(p: Parser) -> None:
-    """Add which terms of K count."""
+    """Add the options for the terms of K."""
     either = p.add_mutually_exclusive_group()
     p.set_defaults(prestress=[True])
     either.add_argument(
-        "--no-prestress",
-        dest="prestress",
-        action="store_const",
-        const=[False],
-        help="leave out the forces of the initial state",
+        "--no-prestress", dest="prestress", action="store_const", const=[False], help="leave out the force term of K"
     )
     either.add_argument(
         "--prestress-both",
         dest="prestress",
         action="store_const",
         const=[True, False],
-        help="with and without these, side by side",
+        help="compute both, with and without the force term",
     )
 
 
 def team_size(p: Parser) -> None:
-    """Add how ranks share the work."""
+    """Add the option for the distribution of ranks."""
     p.add_argument(
         "--team-size",
         type=Within(integer, ranges.RANKS),
         metavar="R",
-        help="ranks that work on a packing together (default 1; more where packings are few or large)",
+        help="ranks that work together on one packing (default 1; more if packings are few or large)",
     )
 
 
@@ -546,9 +556,9 @@ def add(known: Any, verb: str, work: Callable, text: str, epilog: str = "") -> P
 
 
 def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume: bool = True) -> None:
-    """Add ``-o`` and what to do if it exists."""
+    """Add ``-o`` and the options for an output that exists."""
     p.add_argument("-o", "--output", type=path, metavar=metavar, required=required, help=text)
     either = p.add_mutually_exclusive_group()
     either.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     if resume:
-        either.add_argument("--resume", action="store_true", help="go on with an output that exists")
+        either.add_argument("--resume", action="store_true", help="continue with an output that exists")

@@ -15,7 +15,7 @@ from petscjam.parallel.comm import on_root
 
 
 def shear(options: argparse.Namespace, comm: Any) -> None:
-    """Shear disks at a steady rate, in steps, or back and forth; one run, or a grid of them."""
+    """Shear disks at a constant rate, in steps of the rate, or in oscillation; one run, or a grid of runs."""
     from petscjam.md import protocols
 
     if options.oscillate and (options.then or options.rate or options.strain or options.bulk):
@@ -37,7 +37,7 @@ def shear(options: argparse.Namespace, comm: Any) -> None:
 
 
 def ramp(options: argparse.Namespace, comm: Any) -> None:
-    """Ramp the strain rate up and down; one run, or a grid of them."""
+    """Increase the strain rate and decrease it again; one run, or a grid of runs."""
     from petscjam.md import protocols
 
     def protocol(rate: float) -> protocols.Protocol:
@@ -65,7 +65,7 @@ def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[flo
 
     def work(rate: float, **settings: Any) -> Any:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtfulWarning)  # they are told with the name of the file
+            warnings.simplefilter("ignore", DoubtfulWarning)  # they are printed with the name of the file
             return run(protocol(rate), **common, **settings)
 
     def log(file: Path, done: Any) -> None:

@@ -1,4 +1,4 @@
-"""Standard output and standard error: what cannot be written to them ends no computation."""
+"""Standard output and standard error: an error of writing to them does not end a computation."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 
 class Stream:
-    """A text stream that replaces what its encoding lacks, and goes on where nothing more can be written.
+    """A text stream that replaces characters that its encoding lacks, and continues after an error of writing.
 
     Attributes
     ----------
     error : OSError or None
-        Why something was not written; a reader that has gone away is no error.
+        Why text was not written; a closed pipe is not an error.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -26,7 +26,7 @@ class Stream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, as far as that is possible."""
+        """Write, if possible."""
         try:
             self._stream.write(text)
         except OSError as error:
@@ -34,14 +34,14 @@ class Stream:
         return len(text)
 
     def flush(self) -> None:
-        """Flush, as far as that is possible."""
+        """Flush, if possible."""
         try:
             self._stream.flush()
         except OSError as error:
             self._leave(error)
 
     def _leave(self, error: OSError) -> None:
-        """Let this text, kept by Python, and all that follows go nowhere."""
+        """Discard this text, which Python keeps in its buffer, and all further text."""
         if error.errno != errno.EPIPE:
             self.error = self.error or error
         nowhere = os.open(os.devnull, os.O_WRONLY)

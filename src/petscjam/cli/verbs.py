@@ -1,4 +1,4 @@
-"""What each verb does: read, call, write, print."""
+"""The function of each verb: read, call, write, print."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _in_short(packing: Any) -> str:
 
 
 def info(options: argparse.Namespace, comm: Any) -> None:
-    """Print what a file or a folder holds."""
+    """Print the content of a file or a folder."""
 
     def text() -> str:
         from petscjam.io.kinds import recognise
@@ -133,7 +133,7 @@ def info(options: argparse.Namespace, comm: Any) -> None:
 
 
 def import_(options: argparse.Namespace, comm: Any) -> None:
-    """Import a packing, and judge it or relax it."""
+    """Import a packing, and certify it or relax it."""
     from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
 
@@ -176,7 +176,7 @@ def _measured(packing: Any) -> str:
 
 
 def _judged(packing: Any, file: Path) -> Any:
-    """Return a packing with a certificate, if it can have one; warn of what is wrong with it."""
+    """Return a packing with its certificate, if possible; warn if forces do not balance."""
     from petscjam.io.importers import imbalance
     from petscjam.preparation.certify import certify
 
@@ -306,16 +306,16 @@ def _one_of(options: argparse.Namespace, results: dict[str, Any]) -> Any:
 
 
 def packings_of(given: Path) -> list[Path]:
-    """Return the file itself, or the packings of a folder; results that lie among them are not meant."""
+    """Return the file itself, or the packings of a folder, without results."""
     from petscjam.io.kinds import recognise
 
     return [file for file in sorted(given.glob("*.h5")) if recognise(file) != "results"] if given.is_dir() else [given]
 
 
 def all_packings(options: argparse.Namespace) -> list[Path]:
-    """Return the packings of all files and folders that are given; refuse if there are none.
+    """Return the packings of all given files and folders; refuse if there are none.
 
-    For a sheared run there is that of its last state, quenched next to the output.
+    A sheared run stands for the packing of its last state, quenched into a file in the folder of the output.
     """
     from petscjam.md.result import is_run
 
@@ -330,9 +330,9 @@ def all_packings(options: argparse.Namespace) -> list[Path]:
 
 
 def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Namespace) -> set[Path]:
-    """Quench the last state of each run into its file, unless that holds it already; return which could be.
+    """Quench the last state of each run into its file, unless the file has it already; return the jammed runs.
 
-    A run that fails stops no other, as long as there is one that does not.
+    An error is raised only if all runs fail.
     """
     from petscjam.base.files import check_output
     from petscjam.geometry.packing import Packing
@@ -375,14 +375,14 @@ def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Name
 
 
 def finish(failures: list[str], what: str) -> None:
-    """Raise if some of the work failed."""
+    """Raise an error if some packings failed."""
     if failures:
         lines = "".join(f"\n  {failure}" for failure in failures)
         raise SolverError(f"{len(failures)} {what} failed; --resume tries them again:{lines}")
 
 
 def moduli(options: argparse.Namespace, comm: Any) -> None:
-    """Find G* of packing after packing, dealt to teams of ranks; each result is written as it comes."""
+    """Compute G* of all packings, distributed over teams of ranks; each result is written when it is finished."""
     import numpy as np
 
     from petscjam.io.jobs import ModulusAnalysis
@@ -420,7 +420,7 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
 
 
 def analysed(options: argparse.Namespace, comm: Any, analysis: Any, laws: Sequence[Any] = (None,)) -> list[str]:
-    """Analyse the packings that are given and print the results; return why some could not be made."""
+    """Analyse the given packings and print the results; return the reasons of failures."""
     from petscjam.base.progress import progress
     from petscjam.io.jobs import Ensemble, analyse
     from petscjam.io.results import read_results
