@@ -127,7 +127,7 @@ def test_of_other_machines_nothing_is_known(tmp_path, holder, key):
     lock.write_text(json.dumps({**json.loads(lock.read_text()), key: "elsewhere"}))
     other.kill()
     other.wait()
-    with pytest.raises(InputError, match=rf"if it is gone, remove {lock}"), claimed(tmp_path / "a"):
+    with pytest.raises(InputError, match=rf"if it has ended, remove {lock}"), claimed(tmp_path / "a"):
         pass
 
 

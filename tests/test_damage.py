@@ -162,7 +162,7 @@ def test_a_small_file_that_asks_for_gigabytes(files, tmp_path, options):
     with h5py.File(copy, "r+") as file:
         del file["particles/trajectory/radius"]
         file.create_dataset("particles/trajectory/radius", (2**31,), float, **options)
-    with pytest.raises(InputError, match=r"copy.h5: .*particles/trajectory/radius asks for 1.7e\+10 bytes"):
+    with pytest.raises(InputError, match=r"copy.h5: .*particles/trajectory/radius needs 1.7e\+10 bytes"):
         pj.import_packing(copy)
 
 

@@ -1,4 +1,4 @@
-"""Signals: the work stops where it can, what was finished is kept, and --resume does the rest."""
+"""Signals: the work stops where it can, finished results are kept, and --resume does the rest."""
 
 import os
 import random
@@ -136,7 +136,7 @@ def test_the_command_says_what_stopped_it(tmp_path, monkeypatch, capsys, number)
     arguments = ["shear", "--particles", "64", "--rate", "1e-2", "--strain", "1", "-o", str(out)]
     assert main(arguments) == STATUS[number]
     error = capsys.readouterr().err
-    assert error == f"petscjam: stopped by {number.name}; what was finished is kept\n"
+    assert error == f"petscjam: stopped by {number.name}; finished results are kept\n"
     assert out.exists()
 
 
@@ -221,7 +221,7 @@ def stopped_at_random(verb, tmp_path, environment, signals, seed):
         finished = program.returncode in (0, -number)  # when Python ends, handlers are gone
         assert finished or program.returncode == STATUS[number], error
         said = [line for line in error.splitlines() if line.startswith("petscjam:")]
-        line = f"petscjam: stopped by {number.name}; what was finished is kept"
+        line = f"petscjam: stopped by {number.name}; finished results are kept"
         assert said == [line] * (not finished)
         assert "Traceback" not in error
         count += not finished

@@ -180,7 +180,7 @@ except InputError as error:
     command = [sys.executable, "-c", code, tmp_path / "a"]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     (part,) = tmp_path.glob(".a.*.part")
-    assert said == f"{tmp_path / 'a'}: cannot be overwritten, is whole in {part}: No space left on device\n"
+    assert said == f"{tmp_path / 'a'}: cannot be overwritten; the complete file is {part}: No space left on device\n"
     assert part.read_bytes() == b"new"
 
 

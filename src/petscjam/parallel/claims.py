@@ -1,8 +1,8 @@
-"""Outputs claimed for a whole run, so that two runs never write to one.
+"""Outputs claimed for a whole run, so that two runs never write to one file or folder.
 
-A claim is a file beside the output, or inside a folder, that is created exclusively and says which process
-writes: no file system needs to have locks for that. The claim of a process that is gone counts no more, if
-that was on this machine.
+A claim is a file in the folder of the output, or inside a claimed folder, that is created exclusively and names
+the process that writes; the file system needs no locks. The claim of a process of this machine that has ended is
+ignored.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from petscjam.base.errors import InputError
 from petscjam.base.files import check_folder, naming
 from petscjam.parallel.comm import Comm, on_root
 
-PATIENCE = 2.0  # seconds that a claim may stay empty, or in the hands of one who removes it
-_held: set[tuple[Path, int]] = set()  # claims and processes: a forked child has none of its own
+PATIENCE = 2.0  # seconds that a claim may be empty, or be in removal by another process
+_held: set[tuple[Path, int]] = set()  # claims and processes: a forked child does not own the claims of its parent
 
 
 @contextmanager
 def claimed(path: str | PathLike[str], comm: Comm | None = None) -> Iterator[None]:
-    """Keep other runs from writing to ``path``, a file or a folder that exists, while the block runs.
+    """Prevent other runs from writing to ``path``, a file or an existing folder, during the block.
 
-    The process may claim it again inside. With ``comm`` this is collective, and rank 0 claims for all.
+    The process may claim it again inside the block. With ``comm`` this is collective, and rank 0 makes the claim.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def claimed(path: str | PathLike[str], comm: Comm | None = None) -> Iterator[Non
 
 @contextmanager
 def made_folder(folder: str | PathLike[str], comm: Comm | None = None) -> Iterator[None]:
-    """Make ``folder`` if need be; if the block is refused and left it empty, remove it again.
+    """Make ``folder`` if necessary; if the block raises an error and the folder is empty, remove it again.
 
     With ``comm`` this is collective.
 
@@ -77,7 +77,7 @@ def made_folder(folder: str | PathLike[str], comm: Comm | None = None) -> Iterat
 
 @contextmanager
 def turn(path: str | PathLike[str]) -> Iterator[None]:
-    """Keep the other ranks of this run waiting while ``path`` is read, changed and replaced."""
+    """Let the other ranks of this run wait while ``path`` is read, changed and replaced."""
     ticket = _beside(path, "turn")
     with naming(path):
         while not _created(ticket, ""):
@@ -110,10 +110,10 @@ def _take(path: str | PathLike[str]) -> Path | None:
             if (there or time.monotonic() > patience) and _removed(lock, there):
                 patience = time.monotonic() + PATIENCE
             elif time.monotonic() > 2 * PATIENCE + patience:
-                raise InputError(f"{lock} is left of a run that was killed; remove it, and {_ticket(lock)}")
+                raise InputError(f"{lock} was left by a run that was killed; remove it, and {_ticket(lock)}")
             time.sleep(0.01)
     _held.add((lock, os.getpid()))
-    _beside(path, "turn").unlink(missing_ok=True)  # left of a run that was killed
+    _beside(path, "turn").unlink(missing_ok=True)  # left by a run that was killed
     return lock
 
 
@@ -122,8 +122,8 @@ def _ticket(lock: Path) -> Path:
 
 
 def _removed(lock: Path, content: str | None) -> bool:
-    """Remove a claim that counts no more, unless another process is about to."""
-    ticket = _ticket(lock)  # who has it, and nobody else, removes what still has this content
+    """Remove an invalid claim, unless another process is removing it."""
+    ticket = _ticket(lock)  # only its owner removes the claim, and only if the content is the same
     if content is None or not _created(ticket, ""):
         return False
     try:
@@ -145,7 +145,7 @@ def _created(file: Path, content: str) -> bool:
 
 
 def _read(lock: Path) -> str | None:
-    """Return the content of a claim; None if there is none any more."""
+    """Return the content of a claim; None if it does not exist."""
     try:
         with open(os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
             if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -158,7 +158,7 @@ def _read(lock: Path) -> str | None:
 
 
 def _check_gone(content: str, lock: Path) -> None:
-    """Refuse if the process of a claim may still write."""
+    """Raise an error if the process of a claim may still be running."""
     try:
         owner = json.loads(content)
         process, host, started = int(owner["process"]), str(owner["host"]), owner["started"]
@@ -166,18 +166,18 @@ def _check_gone(content: str, lock: Path) -> None:
     except (ValueError, LookupError, TypeError) as error:
         raise InputError(f"{lock} is not a claim of petscjam; remove it") from error
     if not here or _is_alive(process, started):
-        advice = "" if here else f"; if it is gone, remove {lock}"
+        advice = "" if here else f"; if it has ended, remove {lock}"
         raise InputError(f"another run (process {process} on {host}) writes to it{advice}")
 
 
 def _machine() -> dict[str, str]:
-    """Return where numbers of processes count: the host, and the container on it."""
+    """Return the scope of process numbers: the host, and the container on it."""
     namespace = "/proc/self/ns/pid"
     return {"host": socket.gethostname(), "in": os.readlink(namespace) if os.path.exists(namespace) else ""}
 
 
 def _is_alive(process: int, started: str | None) -> bool:
-    """Tell whether a process runs that has this number and began at this moment."""
+    """Return whether there is a process with this number and this start time."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -188,7 +188,7 @@ def _is_alive(process: int, started: str | None) -> bool:
 
 
 def _started(process: int) -> str | None:
-    """Return when a process began, in ticks since the start of the machine; None if that cannot be known."""
+    """Return the start time of a process, in ticks since the start of the machine; None if it is unknown."""
     try:
         state, *values = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:

@@ -22,8 +22,8 @@ else:
 T = TypeVar("T")
 
 
-# What tells a process how many were started with it: Open MPI, MPICH and its kin, MVAPICH; Slurm's srun where
-# none of them speaks. A batch script has SLURM_NTASKS, too, but is alone.
+# Variables with the number of processes of a launcher: Open MPI, MPICH and similar ones, MVAPICH; Slurm's srun if
+# there is none of these. A batch script also has SLURM_NTASKS, but is a single process.
 LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
@@ -33,7 +33,7 @@ def world() -> Comm:
     Raises
     ------
     InputError
-        If a launcher of another MPI started several ranks: each would take itself for the only one.
+        If a launcher of another MPI started several ranks: each would be a separate job of one rank.
     """
     from mpi4py import MPI
 
@@ -41,7 +41,7 @@ def world() -> Comm:
     if MPI.COMM_WORLD.size == 1 < int(ranks):
         beside = Path(sys.executable).with_name("mpirun")
         raise InputError(
-            f"{ranks} ranks were started, but each is alone: the launcher (mpirun, srun) is not that of "
+            f"{ranks} ranks were started, but each is alone: the launcher (mpirun, srun) does not belong to "
             f"{MPI.get_vendor()[0]}, the MPI of mpi4py; take {beside if beside.exists() else 'that one'}"
         )
     return MPI.COMM_WORLD
@@ -67,9 +67,9 @@ def resolve(comm: Comm | None = None) -> Comm:
 
 
 def agree(comm: Comm, *arguments: Any) -> None:
-    """Refuse arguments that differ between ranks: those would wait for each other forever. Collective.
+    """Refuse arguments that differ between ranks, which would wait for each other without end. Collective.
 
-    Packings are compared by checksum, arrays by value, anything else by what it prints.
+    Packings are compared by checksum, arrays by value, anything else by its text.
     """
     if len(set(comm.allgather(tuple(map(_told, arguments))))) > 1:
         raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
@@ -83,7 +83,7 @@ def _told(argument: Any) -> str:
 def on_root(comm: Comm, work: Callable[..., T], *arguments: Any, **options: Any) -> T:
     """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
 
-    An error that is not ours stays as it is on rank 0, and is a RuntimeError elsewhere.
+    An error other than ours is raised unchanged on rank 0, and as a RuntimeError on the other ranks.
     """
     result: Any = None
     error: Exception | Interrupted | None = None
@@ -99,9 +99,9 @@ def on_root(comm: Comm, work: Callable[..., T], *arguments: Any, **options: Any)
 
 
 def raise_together(comm: Comm, error: Exception | Interrupted | None) -> None:
-    """Raise if any rank brings an error: its own on that rank, elsewhere that of the lowest such rank.
+    """Raise if any rank has an error: on that rank its own, on the others that of the lowest such rank.
 
-    Collective. An error that is not ours is a RuntimeError on the other ranks.
+    Collective. An error other than ours is a RuntimeError on the other ranks.
     """
     shared = [e for e in comm.allgather(_for_others(error)) if e is not None]
     if shared:
@@ -122,10 +122,10 @@ def total(comm: Comm, share: Any) -> Any:
 
 
 def exit_together(comm: Comm, code: int, message: str, patience: float = 2.0) -> int:
-    """Agree on an exit: together if every rank is leaving, else by MPI_Abort after ``patience``, s.
+    """Exit together if all ranks exit within ``patience`` (s), else by MPI_Abort.
 
-    ``comm`` spans all ranks and is used for nothing else. The message is printed once where every
-    rank leaves, else by the rank that failed.
+    ``comm`` spans all ranks and is used for nothing else. The message is printed once if every rank exits, else
+    by the rank that failed.
     """
     everyone = comm.Ibarrier()
     patience += time.monotonic()

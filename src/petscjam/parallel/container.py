@@ -1,4 +1,4 @@
-"""What the control groups of Linux (containers, batch systems) leave this process: memory and processors."""
+"""Limits of the control groups of Linux (containers, batch systems) for this process: memory and processors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROOT = Path("/")
 
 
 def memory_left() -> float:
-    """Return the memory below the limits of this process, MB; infinite without any.
+    """Return the memory that the limits of this process leave, MB; infinite without a limit.
 
     Pages of files that are cached and not in use count as free.
     """
@@ -28,7 +28,7 @@ def memory_left() -> float:
 
 
 def cores() -> float:
-    """Return how many processors' worth of time this process may have; infinite without a limit."""
+    """Return the processor time per time that this process may use; infinite without a limit."""
     found = math.inf
     for folder in _groups("cpu"):
         with suppress(OSError, ValueError):
@@ -42,7 +42,7 @@ def cores() -> float:
 
 
 def _groups(controller: str) -> Iterator[Path]:
-    """Yield the folders of the control groups of this process that have a say, in both versions of them."""
+    """Yield the folders of the control groups that limit this process, for both versions of control groups."""
     with suppress(OSError):
         for line in (ROOT / "proc/self/cgroup").read_text().splitlines():
             _, names, path = line.split(":", 2)

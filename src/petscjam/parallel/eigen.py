@@ -1,9 +1,9 @@
 """Eigenpairs of distributed real symmetric matrices: SLEPc's Krylov–Schur over one factorisation.
 
-A Krylov space holds one vector of each set of equal eigenvalues, and others by rounding alone. So the search
-goes on, what was found left out, until a count of all eigenvalues says that none is missing.
+A Krylov space contains one vector of each set of equal eigenvalues, and others only by rounding errors. So the
+search continues, with the known vectors deflated, until a count of all eigenvalues shows that none is missing.
 
-PETSc is complex, so eigenvectors come with arbitrary phases, and mixed in clusters. Their real and imaginary
+PETSc is complex, so eigenvectors have arbitrary phases, and clusters of them are mixed. Their real and imaginary
 parts span the same space, and Rayleigh–Ritz in it gives real pairs.
 
 Axes: n local rows, m eigenpair.
@@ -30,13 +30,13 @@ from petscjam.parallel.petsc import destroying, petsc, slepc, stage
 
 TOLERANCE = 1e-10
 RESTARTS = 10_000
-NEW = 1e-6  # squared length of a part of a vector outside the others, below which it is rounding
+NEW = 1e-6  # squared length of the component of a vector outside the others, below which it is a rounding error
 EQUAL = 1e-9  # relative difference up to which eigenvalues are equal
-APART = 1e-6  # relative distance from the last eigenvalue at which those below are counted, at least
-WIDER = (1, 1e2, 1e4)  # times that, until the count rounds by less
-SPARE = 1  # pairs beyond those asked for, to find a gap for the count
-COPIES = 64  # pairs equal to the last that are searched for, or as many as are asked for
-TRIES = 3  # searches in a row that find nothing of what is missing
+APART = 1e-6  # smallest relative distance of σ from the last eigenvalue for the count
+WIDER = (1, 1e2, 1e4)  # factor of this distance until the rounding error of the count is smaller
+SPARE = 1  # pairs in addition to ``count``, to find a gap for the count
+COPIES = 64  # largest number of pairs equal to the last that are searched for, or ``count``
+TRIES = 3  # searches without a new pair before the error
 
 
 class Pairs(NamedTuple):
@@ -48,7 +48,7 @@ class Pairs(NamedTuple):
 
 
 class Search(NamedTuple):
-    """At least the pairs asked for, whether it is proved that none is missing, why not, and what it took."""
+    """At least ``count`` pairs, whether it is proved that none is missing, the reason if not, and the cost."""
 
     pairs: Pairs
     complete: bool | None
@@ -69,31 +69,31 @@ def search_all(
 ) -> Search:
     """Return the lowest ``count`` pairs and those equal to the last, and prove that none is missing.
 
-    At least as many eigenvalues as Ritz values lie below any σ (Courant and Fischer). Where they are no more,
-    none is missing; σ is above the last pair wanted. If more than ``COPIES``, and than ``count``, that equal
-    the last are missing, σ is just below these instead, and which of them are found is arbitrary.
+    At least as many eigenvalues as Ritz values lie below any σ (Courant and Fischer). If the numbers are equal,
+    none is missing; σ is above the last of the ``count`` pairs. If more than ``COPIES``, and than ``count``, that
+    equal the last are missing, σ is just below these instead, and an arbitrary part of them is found.
 
     Parameters
     ----------
     search : callable
-        Of how many to search for and the vectors (n, m) found before, or None: all pairs found, ascending.
+        Function of the number to search for and of the known vectors (n, m) or None: all known pairs, ascending.
     count_below : callable
-        Of σ and how far rounding may move it: how many eigenvalues lie below. SolverError if it moves more.
-        Called on rank 0.
+        Function of σ and its allowed rounding error: the number of eigenvalues below σ. SolverError if the
+        rounding error is larger. Called on rank 0.
     count, most : int
-        How many are wanted, and how many there are.
+        Number of wanted pairs, and of all pairs.
     comm : MPI communicator
     least : callable
-        Of the eigenvalues found: a difference between them that may be rounding.
+        Function of the eigenvalues found: the difference that may be a rounding error.
     left_out : sequence of float
-        Eigenvalues that are counted and not searched for.
+        Eigenvalues that are in the count but not in the search.
     progress : callable
         Called with a fraction and a text.
 
     Raises
     ------
     SolverError
-        If the searches do not find what is missing.
+        If the searches do not find the missing pairs.
     """
     found, wanted, sigma, before, vain = None, min(count + SPARE, most), np.inf, 0, 0
     complete: bool | None = True
@@ -134,12 +134,12 @@ def search_all(
 def _missing(
     values: Array, count: int, count_below: Callable[[float, float], int], least: float, left_out: Sequence[float]
 ) -> tuple[int, float, list[str]]:
-    """Return how many eigenvalues below some σ above the lowest ``count`` are missing, σ, and notes."""
+    """Return the number of missing eigenvalues below a σ above the lowest ``count``, σ, and notes."""
     known, last = np.sort([*values, *left_out]), values[count - 1]
     room, enough = max(APART * abs(last), least), max(COPIES, count)
 
     def missing_below(*gaps: tuple[float, float]) -> tuple[int, float]:
-        """Return how many are missing below the first gap, centre and half width, that allows a count."""
+        """Return the number that is missing below the first gap (centre and half width) that allows a count."""
         reason = ""
         for centre, half in gaps:
             try:
@@ -171,14 +171,13 @@ def _missing(
         return missing, sigma, []
     wanted, found = ((some > first) & (some < sigma) for some in (values[:count], values))
     equal = missing + found.sum()
-    return 0, sigma, [f"the last {wanted.sum()} are of {equal} equal ones: which of them is arbitrary"]
+    return 0, sigma, [f"the last {wanted.sum()} are of {equal} equal ones: the choice among these is arbitrary"]
 
 
 def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: float) -> Pairs:
-    """Return the lowest ``count`` pairs, with vectors that depend on the matrices alone, but for their signs.
+    """Return the lowest ``count`` pairs, with vectors that depend only on the matrices, except for their signs.
 
-    Vectors of equal eigenvalues are those that make vᵀ diag(``probe``) v stationary; ``probe`` (n,) is
-    anything that no symmetry leaves alike.
+    The vectors of equal eigenvalues make vᵀ diag(``probe``) v stationary; ``probe`` (n,) has no symmetry.
 
     Parameters
     ----------
@@ -187,9 +186,9 @@ def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: 
     pairs : Pairs
     count : int
     probe : (n,)
-        Numbers that no symmetry leaves alike, this rank's rows.
+        Numbers without symmetry, this rank's rows.
     least : float
-        Difference of eigenvalues that may be rounding.
+        Difference of eigenvalues that may be a rounding error.
     """
     comm = A.comm.tompi4py()
     values, vectors, residuals = pairs.values, pairs.vectors.copy(), pairs.residuals.copy()
@@ -219,11 +218,11 @@ def lowest_pairs(
     K : PETSc.Mat
         Real, flagged symmetric and not Hermitian.
     count : int
-        How many, at most the rows of ``K`` less those left out and known.
+        At most the number of rows of ``K`` less those left out and known.
     shift : float
         K − shift is factored: it must not be an eigenvalue.
     leave_out : sequence of (n,)
-        Orthonormal null vectors to stay clear of, this rank's rows.
+        Orthonormal null vectors to deflate, this rank's rows.
     known : (n, m)
         Orthonormal vectors found before: they are not searched for, and are among those returned.
     prefix : str
@@ -285,8 +284,9 @@ def _solved(
 ) -> Pairs:
     """Solve, with MUMPS LDLᵀ unless the options say otherwise; return the pairs known and found.
 
-    The start is drawn by row. It is real, and so is what follows: the length of a complex vector in the
-    metric of K rounds to a complex number. Where a search is exhausted it goes on at random.
+    The initial vector is random, seeded by row. It is real, and so are the following vectors, because the length
+    of a complex vector in the metric of K is complex by rounding. An exhausted search continues with a random
+    vector.
     """
     start, stop = A.owner_range
     V = np.empty((stop - start, 0)) if known is None else known
@@ -319,7 +319,7 @@ def _solved(
 
 @contextmanager
 def _failing_in_words() -> Iterator[None]:
-    """Turn PETSc's errors into ours, outside :func:`destroying`: what failed midway cannot be destroyed."""
+    """Turn PETSc's errors into ours, outside :func:`destroying`: after an error objects cannot be destroyed."""
     try:
         yield
     except petsc().Error as error:
@@ -329,7 +329,7 @@ def _failing_in_words() -> Iterator[None]:
 def _real_pairs(A: Any, metric: Any, V: Array, count: int) -> Pairs:
     """Return the lowest pairs in the span of ``V`` by Rayleigh–Ritz, orthonormal in ``metric``."""
     comm = A.comm.tompi4py()
-    for _ in range(2):  # the second time takes off what the first rounds
+    for _ in range(2):  # the second pass removes the rounding errors of the first
         sizes, rotation = comm.bcast(np.linalg.eigh(total(comm, V.T @ _metric(metric, V))))
         kept = sizes > NEW * sizes[-1]
         V = V @ (rotation[:, kept] / np.sqrt(sizes[kept]))

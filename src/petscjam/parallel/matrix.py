@@ -14,7 +14,7 @@ from petscjam.parallel.petsc import destroying, petsc
 def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: Comm) -> Any:
     """Return the PETSc matrix with these local rows, flagged symmetric and not Hermitian.
 
-    MUMPS then takes LDLᵀ, which PETSc refuses on a Hermitian matrix in a complex build.
+    MUMPS then uses LDLᵀ, which PETSc refuses for a Hermitian matrix in a complex build.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArra
 
 
 def apply_real(matrix: Any, columns: NDArray[Any]) -> NDArray[Any]:
-    """Return ``matrix`` times local rows of real columns (n, m), two at a time, for it is real.
+    """Return ``matrix`` times local rows of real columns (n, m), two real columns as one complex vector.
 
     Parameters
     ----------

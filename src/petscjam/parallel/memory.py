@@ -1,4 +1,4 @@
-"""Memory: how much a factor needs, how much there is, and giving back what is free."""
+"""Memory: the need of a factor, the free memory, and the return of freed memory to the system."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petscjam.parallel.container import memory_left
 
 
 def factor_memory(unknowns: int) -> float:
-    """Return about how much memory MUMPS needs to factor a contact network, MB, all ranks together.
+    """Return an estimate of the memory of MUMPS for the factor of a contact network, MB, sum over ranks.
 
     In two dimensions a factor has of the order of n log n entries; the constant is measured
     (docs/benchmarks.md).
@@ -25,7 +25,7 @@ def factor_memory(unknowns: int) -> float:
 
 
 def available_memory() -> float:
-    """Return the memory that is free to this process, MB; infinite where the machine does not say."""
+    """Return the memory that is free for this process, MB; infinite if unknown."""
     free = math.inf
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
@@ -34,22 +34,22 @@ def available_memory() -> float:
 
 
 def peak_memory() -> float:
-    """Return the largest memory that this process has had, MB."""
+    """Return the peak memory of this process, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def scratch_folder() -> Path:
-    """Return where MUMPS keeps a factor out of core."""
+    """Return the folder in which MUMPS stores a factor out of core."""
     return Path(os.environ.get("MUMPS_OOC_TMPDIR") or "/tmp")
 
 
 def require(size: float, what: str, comm: Comm | None = None) -> None:
-    """Refuse to ask for ``size`` bytes that this machine, or one of ``comm``, does not have; then collective.
+    """Raise if ``size`` bytes are not free on this machine or, with ``comm`` (collective), on any of its ranks.
 
     Raises
     ------
     InputError
-        It names ``what`` the memory is for, how much it takes and how much is free.
+        It names ``what`` needs the memory, the size, and the free memory.
     """
     free = available_memory() if comm is None else min(comm.allgather(available_memory()))
     if size / 2**20 > free:
@@ -57,12 +57,12 @@ def require(size: float, what: str, comm: Comm | None = None) -> None:
 
 
 def check_memory(comm: Comm, unknowns: int, *, out_of_core: bool = False) -> str:
-    """Say what a factor will need, before any work; collective.
+    """Return a text on the memory of a factor, before the computation; collective.
 
     Raises
     ------
     InputError
-        If a node has less free than its share of that, in memory or, ``out_of_core``, in the folder.
+        If the free memory of a node, or with ``out_of_core`` of the folder, is less than its share.
     """
     from mpi4py import MPI
 
@@ -81,7 +81,7 @@ def check_memory(comm: Comm, unknowns: int, *, out_of_core: bool = False) -> str
 
 
 def _scratch_error(share: float) -> InputError | None:
-    """Say why the scratch folder cannot take ``share``, MB."""
+    """Return why the scratch folder cannot store ``share``, MB."""
     folder = scratch_folder()
     advice = "MUMPS_OOC_TMPDIR names a folder for the factor"
     if not folder.is_dir():
@@ -97,6 +97,6 @@ def _scratch_error(share: float) -> InputError | None:
 
 
 def give_back_memory() -> None:
-    """Return freed memory to the system: glibc keeps it, two thirds of what assembly takes."""
+    """Return freed memory to the system: glibc keeps it, two thirds of the memory of assembly."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)

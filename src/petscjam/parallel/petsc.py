@@ -1,4 +1,4 @@
-"""The one place where PETSc starts, and where a PETSc that cannot serve is refused."""
+"""PETSc is started here, and an unsuitable PETSc is refused."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _world: list[Any] = []
 
 
 def set_options(options: Sequence[str]) -> None:
-    """Hand PETSc the options given after ``--``, before the first solve; it lists those it never read."""
+    """Pass the options after ``--`` to PETSc, before the first solve; PETSc lists those that it did not use."""
     _options[:] = [*options, "-options_left"] if options else []
 
 
@@ -51,14 +51,14 @@ def petsc() -> ModuleType:
     Raises
     ------
     InputError
-        If petsc4py is missing, has real scalars, or lacks MUMPS: one sentence that says how to get it.
+        If petsc4py is missing, has real scalars, or lacks MUMPS, with the way to install it.
     """
     _prepare_blas()
     try:
         import petsc4py
         from mpi4py import MPI
 
-        # Its handlers would end the job where a pipe closes, or where a signal is to stop it.
+        # PETSc's signal handlers would end the job when a pipe closes, or at a signal that petscjam handles.
         petsc4py.init(["petscjam", "-no_signal_handler", *_options], comm=_world[0] if _world else MPI.COMM_SELF)
         from petsc4py import PETSc
     except ImportError as error:
@@ -70,8 +70,8 @@ def petsc() -> ModuleType:
 def _prepare_blas() -> None:
     """Set what OpenBLAS reads when PETSc loads it, unless the user has set it.
 
-    Ranks are the threads. And an OpenBLAS older than the processor takes it for a Prescott of 2004,
-    which makes MUMPS more than twice as slow (docs/design/0004-openblas-kernel.md): name the kernel.
+    One thread for each rank, and the kernel of OpenBLAS: for a processor newer than itself OpenBLAS uses the
+    kernels of a Prescott of 2004, and MUMPS is more than twice as slow (docs/design/0004-openblas-kernel.md).
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -101,7 +101,7 @@ def slepc() -> ModuleType:
     Raises
     ------
     InputError
-        If SLEPc, or a PETSc that can serve it, is missing.
+        If SLEPc, or a suitable PETSc, is missing.
     """
     petsc()
     try:
@@ -113,10 +113,10 @@ def slepc() -> ModuleType:
 
 @contextmanager
 def destroying(*objects: Any) -> Iterator[None]:
-    """Destroy PETSc objects on leaving; Ctrl-C waits. That is collective, and so are our own errors.
+    """Destroy PETSc objects at the end of the block; Ctrl-C is deferred. This is collective, and so are our own errors.
 
-    Any other exception may be this rank's alone: it goes on at once, and the objects are left to the
-    end of the program.
+    Any other exception may be on this rank only: it is raised at once, and the objects exist until the end of the
+    program.
     """
     with deferred():
         try:
@@ -134,7 +134,7 @@ def _destroy(objects: Sequence[Any]) -> None:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Name a stretch of work in PETSc's ``-log_view``."""
+    """Name the block in PETSc's ``-log_view``."""
     log = petsc().Log.Stage(f"petscjam: {name}")
     log.push()
     try:

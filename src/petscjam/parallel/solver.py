@@ -1,6 +1,6 @@
 """One direct solver for a sequence of matrices on one pattern: KSP with MUMPS LDLᵀ.
 
-Symbolic analysis is done once, for the first matrix; every new matrix is factored afresh.
+Symbolic analysis is done once, for the first matrix; every matrix has its own numerical factorisation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Complex = NDArray[np.complex128]
 OUT_OF_WORKSPACE = (-8, -9)
 LARGEST_WORKSPACE = 2000  # ICNTL(14), per cent above the estimate
 GOOD_RESIDUAL = 1e-12
-LARGEST_RESIDUAL = 1e-8  # a solution that leaves more is refused
+LARGEST_RESIDUAL = 1e-8  # a solution with a larger residual is refused
 ROUNDING = 1e-13  # residual of a stable solve, relative to ‖A‖‖x‖
 
 
@@ -52,7 +52,7 @@ class DirectSolver:
         pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
     def factor(self, A: Any) -> None:
-        """Factor ``A``, with more workspace if MUMPS asks for it.
+        """Factor ``A``, with more workspace if MUMPS needs it.
 
         Raises
         ------
@@ -88,12 +88,12 @@ class DirectSolver:
         rhs : (n,)
             This rank's rows of f.
         cause : str
-            What a large residual means; left out, what the solver knows.
+            The cause of a large residual, for the message; default: what the solver knows.
         soft : bool
-            Whether soft motions may make x large: a residual of 1e-13 ‖A‖‖x‖, which a stable solve may leave,
-            is then accepted, too.
+            Whether soft motions may make x large: then a residual of 1e-13 ‖A‖‖x‖, the accuracy of a stable
+            solve, is accepted, too.
         largest : float
-            Largest ‖Ax − f‖/‖f‖; infinite where the caller judges the solution.
+            Largest ‖Ax − f‖/‖f‖; infinite if the caller tests the solution.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class DirectSolver:
         Raises
         ------
         SolverError
-            If the solve fails or leaves a larger residual.
+            If the solve fails or the residual is larger.
         """
         if self._A.size[0] == 0:
             return rhs, 0.0
@@ -131,7 +131,7 @@ class DirectSolver:
 
     @property
     def _weakness(self) -> str:
-        """What makes a residual large."""
+        """The likely cause of a large residual."""
         compressed = "the factor is compressed too far, or " if self._block_low_rank else ""
         return f"{compressed}there are motions that nothing resists"
 
@@ -154,11 +154,11 @@ class DirectSolver:
         return self.ksp.getPC().getFactorMatrix()
 
     def _configure(self) -> None:
-        """Set MUMPS up before its analysis.
+        """Set the options of MUMPS before its analysis.
 
-        It takes pivots as they come (CNTL(1) = 0) where K and B are positive semi-definite: then LDLᵀ of
-        K + iωB without pivoting is stable, its entries grow by less than 3 (Higham, Math. Comp. 67, 1591,
-        1998), and it is faster.
+        It does not pivot (CNTL(1) = 0) if K and B are positive semi-definite: then LDLᵀ of K + iωB without
+        pivoting is stable, its entries grow by a factor below 3 (Higham, Math. Comp. 67, 1591, 1998), and it is
+        faster.
         """
         if not self._mumps():
             return
@@ -187,8 +187,8 @@ class DirectSolver:
     def _enlarge(self, A: Any) -> None:
         """Factor again with four times the extra workspace.
 
-        PETSc does not factor again where MUMPS has failed, so this starts from the analysis, which reads
-        the workspace from the options.
+        PETSc does not factor again after an error of MUMPS, so this starts from the analysis, which reads the
+        workspace from the options.
         """
         name = f"{self.ksp.prefix}mat_mumps_icntl_14"
         options = petsc().Options()
@@ -201,14 +201,14 @@ class DirectSolver:
         options.delValue(name)
         if before is not None:
             options.setValue(name, before)
-            options.hasName(name)  # or PETSc would report it as never read
+            options.hasName(name)  # else PETSc would report it as unused
 
 
 @contextmanager
 def direct_solver(
     comm: Comm, prefix: str, *, definite: bool, out_of_core: bool = False, block_low_rank: float = 0.0
 ) -> Iterator[DirectSolver]:
-    """Give a :class:`DirectSolver`, and free it at the end.
+    """Yield a :class:`DirectSolver`, and destroy it at the end.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def direct_solver(
     definite : bool
         Whether real and imaginary parts of the matrices are positive semi-definite.
     out_of_core : bool
-        Keep the factor on disk, in the folder that MUMPS_OOC_TMPDIR names.
+        Store the factor on disk, in the folder MUMPS_OOC_TMPDIR.
     block_low_rank : float
         Relative accuracy to which the factor is compressed; refinement corrects the solution. 0: exact.
     """
@@ -229,7 +229,7 @@ def direct_solver(
 
 @contextmanager
 def _scratch() -> Iterator[None]:
-    """Give MUMPS a folder of its own for factors out of core, and remove it in any case."""
+    """Make a separate folder for factors out of core, and remove it at the end, also after an error."""
     before = os.environ.get("MUMPS_OOC_TMPDIR")
     with TemporaryDirectory(prefix="petscjam-", dir=scratch_folder(), ignore_cleanup_errors=True) as own:
         os.environ["MUMPS_OOC_TMPDIR"] = own

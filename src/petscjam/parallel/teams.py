@@ -1,4 +1,4 @@
-"""Teams of ranks: tasks are dealt to teams, and a team works on each of its tasks together."""
+"""Teams of ranks: tasks are distributed over teams, and the ranks of a team work together on each of its tasks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Team:
     comm : communicator
         Of this team.
     index, count : int
-        Which team this is, and of how many.
+        Number of this team, and number of teams.
     """
 
     comm: Comm
@@ -65,7 +65,7 @@ def teams(comm: Comm, size: int = 1) -> Iterator[Team]:
         raise InputError(f"a team has at least one rank, not {size}")
     team = Team(comm.Split(comm.rank // size, comm.rank), comm.rank // size, -(-comm.size // size))
     yield team
-    team.comm.Free()  # collective: an error that is this rank's alone does not wait for the others
+    team.comm.Free()  # collective: after an error on this rank only, it must not wait for the others
 
 
 class Task(Protocol):
@@ -73,7 +73,7 @@ class Task(Protocol):
 
     @property
     def name(self) -> str:
-        """What the progress calls it."""
+        """Its name in the progress."""
 
 
 Named = TypeVar("Named", bound=Task)
@@ -88,9 +88,9 @@ def deal(
     size: int = 1,
     progress: Report | None = None,
 ) -> list[tuple[Named, InputError | SolverError]]:
-    """Deal tasks to teams and return those that failed, with their errors, on every rank. Collective.
+    """Distribute tasks over teams and return those that failed, with their errors, on every rank. Collective.
 
-    A task that fails does not stop the others. A signal stops all teams after the tasks they are at.
+    If a task fails, the others continue. A signal stops all teams after their current tasks.
 
     Parameters
     ----------
@@ -100,11 +100,11 @@ def deal(
     work : callable
         ``work(task, team, progress)``, called on every rank of the team.
     cost : callable
-        Time that a task takes, in any unit.
+        Time of a task, in any unit.
     size : int
         Ranks of a team.
     progress : callable, optional
-        Called with the fraction done of a team's own work and a text.
+        Called with the completed fraction of a team's work and a text.
 
     Raises
     ------
@@ -130,9 +130,9 @@ def deal(
 
 
 def cores_each(comm: Comm) -> int:
-    """Return how many cores of its node there are for each rank of ``comm``, bound to cores or not.
+    """Return the number of cores of a node divided by its ranks of ``comm``, bound to cores or not.
 
-    No more than the limit of a container.
+    At most the limit of a container.
     """
     from mpi4py import MPI
 
