@@ -17,7 +17,7 @@ from petscjam.base.types import Array, Integers, frozen
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A periodic cell in two dimensions, as tilted as one likes.
+    """A periodic cell in two dimensions, with any tilt.
 
     Parameters
     ----------
@@ -91,14 +91,14 @@ class Box:
         ----------
         points : (P, 2)
         reach : float or (P, 1)
-            Distance from the window up to which an image counts.
+            Largest distance of an image from the window.
         window : Box
             Left out: the cell itself.
 
         Returns
         -------
         which : (I,)
-            The point that each image is of.
+            The point of each image.
         images : (I, 2)
         """
         window = window or self

@@ -1,9 +1,10 @@
-"""Which disks are near each other: one search for all, by size class, in time and memory O(N + pairs).
+"""Search for pairs of neighbouring disks, by size class, in time and memory O(N + pairs).
 
-Disks of about one size (within a factor of two) form a class. Each class has a grid of its own, with bins
-about as wide as its disks are, and no more bins than disks. A disk is looked for by the others of its class
-and by all smaller disks, in the bins within their reach: one giant among many small disks costs each of them
-a look into a bin or two. Bins repeat with the lattice: a disk may meet several images of another, or its own.
+Disks of about one size (within a factor of two) form a class. Each class has its own grid, with bins about as
+wide as its disks, and no more bins than disks. For each disk the search tests the disks of the same class and of
+the classes of larger disks, in the bins within its reach: for one giant among many small disks each small disk
+tests one or two bins. Bins repeat with the lattice: a disk may have several images of another disk, or its own,
+as neighbours.
 
 Axes: i, j disks of pair c, a disk, x Cartesian, l lattice vector.
 """
@@ -22,7 +23,7 @@ from petscjam.geometry.box import Box
 from petscjam.parallel.memory import available_memory
 
 CHUNK = 4096  # disks
-BYTES = 150  # of memory a pair, at the peak of ContactNetwork.of
+BYTES = 150  # of memory for each pair, at the peak of ContactNetwork.of
 
 
 def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -> tuple[Integers, Integers, Array]:
@@ -31,7 +32,7 @@ def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -
     Parameters
     ----------
     box : Box
-        It may be so small that a disk meets two images of another, or its own.
+        It may be so small that a disk touches two images of another disk, or its own.
     positions : (N, 2)
         Any periodic images.
     radii : (N,)
@@ -48,7 +49,7 @@ def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -
     Raises
     ------
     InputError
-        If there are more pairs than memory for them.
+        If there is not enough memory for the pairs.
     """
     x, radii = np.array(positions, dtype=float, order="C"), np.array(radii, dtype=float)
     check_memory(box, radii, skin)
@@ -68,13 +69,13 @@ def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -
 
 
 def expected_pairs(box: Box, radii: Array, skin: float) -> float:
-    """Return ½ Σij π (ρi + ρj + skin)²/V: so many pairs, images included, have disks at random positions."""
+    """Return ½ Σij π (ρi + ρj + skin)²/V, the number of pairs, images included, of disks at random positions."""
     n, reach = float(len(radii)), radii + skin / 2
     return float(np.pi * (n * (reach**2).sum() + reach.sum() ** 2) / box.area)
 
 
 def check_memory(box: Box, radii: Array, skin: float) -> None:
-    """Raise an InputError if disks at random positions have more pairs than there is memory for."""
+    """Raise an InputError if there is not enough memory for the pairs of disks at random positions."""
     count = expected_pairs(box, radii, skin)
     need = count * BYTES / 2**20
     if need > 100 and need > available_memory():
@@ -95,7 +96,7 @@ class Grids(NamedTuple):
     largest : (classes,)
         Radius.
     bins : (classes, 2)
-        Along each lattice vector; all bins of all classes are numbered in turn, row by row.
+        Number along each lattice vector; the bins of all classes are numbered consecutively, row by row.
     first : (classes + 1,)
         Number of the first of each class.
     start : (bins + 1,)
@@ -110,7 +111,7 @@ class Grids(NamedTuple):
     s : (N, 2)
         Its image in the cell, in units of the lattice vectors.
     cell : (N, 2)
-        The cell in which it lies itself.
+        The cell that contains the disk itself.
     """
 
     kind: Integers
@@ -191,8 +192,8 @@ def _grids(x, lattice, inverse, width, radii, skin):
 def _list(a, g, lattice, width, skin, inside, across, images, m, rest):
     """Add the pairs of disks from ``a`` on to the ``m`` inside chunks and to the others, ``rest``.
 
-    Return the disk at which there is no more room (N: none), and both numbers before it. Arrays that grow in
-    this loop would be counted by reference in it: three times as slow.
+    Return the disk at which the arrays are full (N: not full), and both numbers before this disk. If the arrays
+    grew in this loop, numba would count references to them: three times as slow.
     """
     kind, largest, bins, first, start, disk, there, place, home, s, cell = g
     while a < len(disk):
@@ -203,7 +204,7 @@ def _list(a, g, lattice, width, skin, inside, across, images, m, rest):
             u, v, reach = s[a, 0] * nx, s[a, 1] * ny, (R + largest[c]) * (1 + 1e-12)
             left, right = int(np.floor(u - reach / width[0] * nx)), int(np.floor(u + reach / width[0] * nx))
             low, high = int(np.floor(v - reach / width[1] * ny)), int(np.floor(v + reach / width[1] * ny))
-            own = c == kind[a]  # half of the bins will do
+            own = c == kind[a]  # half of the bins are sufficient
             for row in range(home[a, 1] if own else low, high + 1):
                 iy = int(np.floor(row / ny))
                 at_home = own and row == home[a, 1]
@@ -257,9 +258,9 @@ def find(x, lattice, radii, skin):
     Parameters
     ----------
     x : (N, 2)
-        The better they are sorted in space, the faster.
+        The search is faster if they are sorted in space.
     lattice : (2, 2)
-        Rows are lattice vectors, at best the shortest (:attr:`petscjam.geometry.box.Box.reduced`).
+        Rows are lattice vectors, preferably the shortest (:attr:`petscjam.geometry.box.Box.reduced`).
     radii : (N,)
     skin : float
 

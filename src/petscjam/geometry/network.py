@@ -1,4 +1,4 @@
-"""The contact network of a packing: who touches whom, how hard, and who bears no load.
+"""The contact network of a packing: contacts, forces, and disks without load.
 
 Axes: c contact, i disk, x Cartesian.
 """
@@ -15,7 +15,7 @@ from petscjam.base.errors import InputError
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 
-NO_MODULUS = 1e-12  # of the affine modulus, up to which one is zero: rounding leaves 1e-31 to 1e-16
+NO_MODULUS = 1e-12  # of the affine modulus: smaller moduli are zero (rounding errors are 1e-31 to 1e-16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class ContactNetwork:
     area : float
         Area V of the cell.
     backbone : (N,) bool
-        Disks left when those with fewer than three contacts are removed again and again.
+        Disks that remain when those with fewer than three contacts are removed repeatedly.
     """
 
     i: Integers
@@ -51,12 +51,12 @@ class ContactNetwork:
         """Find the contacts of ``packing``.
 
         Those of rattlers are included, unless their force is too small to count in the balance of forces,
-        max(1e-10·p·d, 4·ε·k·L): whether a rattler that merely rests on another overlaps it is rounding.
+        max(1e-10·p·d, 4·ε·k·L): the overlap of a rattler that only rests on another disk is a rounding error.
 
         Raises
         ------
         InputError
-            If two disks coincide.
+            If two disks have the same position.
         """
         from petscjam.geometry.neighbours import pairs
 
@@ -137,7 +137,7 @@ class ContactNetwork:
 
     @property
     def rounding_force(self) -> float:
-        """Force that positions in double precision leave on a disk, 4·ε·k·L."""
+        """Force on a disk by rounding of positions in double precision, 4·ε·k·L."""
         return float(4 * np.finfo(float).eps * self.stiffness.max(initial=0.0) * self.area**0.5)
 
     @property
@@ -148,16 +148,16 @@ class ContactNetwork:
 
     @property
     def affine_modulus(self) -> float:
-        """Shear modulus if no disk left the affine motion, without pre-stress, mean of all directions."""
+        """Shear modulus of affine motion, without pre-stress, mean over all directions."""
         return float(self.stiffness @ (self.r**2).sum(1)) / (8 * self.area)
 
     @property
     def rounding_modulus(self) -> float:
-        """Modulus up to which one is zero: 1e-12 of the affine one."""
+        """Largest modulus that counts as zero: 1e-12 of the affine modulus."""
         return NO_MODULUS * self.affine_modulus
 
     def only(self, which: NDArray[np.bool_]) -> ContactNetwork:
-        """Keep the contacts ``which`` (C,); the disks and the backbone stay what they are."""
+        """Keep the contacts ``which`` (C,); the disks and the backbone do not change."""
         part = {name: getattr(self, name)[which] for name in ("i", "j", "r", "force", "stiffness")}
         return replace(self, **part)
 
@@ -167,7 +167,7 @@ class ContactNetwork:
         Raises
         ------
         InputError
-            If no contact is left, or the backbone falls apart into pieces.
+            If no contact is left, or the backbone is not connected.
         """
         kept = self.only(self.backbone[self.i] & self.backbone[self.j])
         if len(kept) == 0:
@@ -190,7 +190,7 @@ class ContactNetwork:
 
 
 def rounded(values: ArrayLike, rounding: float | Array) -> Array:
-    """Return ``values``, 0 where they do not exceed ``rounding``.
+    """Return ``values``, set to 0 if they do not exceed ``rounding``.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def rounded(values: ArrayLike, rounding: float | Array) -> Array:
 
 
 def backbone(i: Integers, j: Integers, n: int) -> NDArray[np.bool_]:
-    """Mark, of ``n`` disks, those left when all with fewer than three contacts are removed, repeatedly.
+    """Mark, of ``n`` disks, those that remain when all with fewer than three contacts are removed repeatedly.
 
     Parameters
     ----------

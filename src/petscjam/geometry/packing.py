@@ -1,4 +1,4 @@
-"""A packing: disks in a periodic cell, and what is known about how good it is.
+"""A packing: disks in a periodic cell, and its certificate.
 
 Axes: i disk, x Cartesian.
 """
@@ -23,7 +23,7 @@ from petscjam.geometry.potential import Potential, potential
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was measured on a packing (:func:`petscjam.certify`). ``None`` stands for "not measured".
+    """The measured quantities of a packing (:func:`petscjam.certify`). ``None`` means "not measured".
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Certificate:
     stress_error : float
         Largest part of σ − p·1, relative to p: the residual shear stress.
     rattlers : int
-        Disks with fewer than three contacts, removed again and again until none is left.
+        Disks with fewer than three contacts, removed repeatedly until none is left.
     contacts : int
         Contacts inside the backbone.
     Z : float
@@ -50,9 +50,9 @@ class Certificate:
     shear_modulus : float
         The lowest quasi-static shear modulus over all directions of shear; negative: unstable.
     proved : bool
-        Whether this is a proved minimum; ``None`` until judged.
+        Whether this is a proved minimum; ``None`` if not certified.
     checksum : str
-        Of the packing that was judged: what was measured on another one says nothing about this.
+        Of the certified packing: a certificate is not valid for another packing.
     """
 
     max_force: float | None = None
@@ -72,7 +72,7 @@ class Certificate:
 
     @classmethod
     def stored(cls, values: Mapping[str, Any]) -> Certificate:
-        """Return the certificate of ``values`` by the names of the fields; names that are unknown are left out.
+        """Return the certificate of ``values`` by the names of the fields; unknown names are left out.
 
         Raises
         ------
@@ -94,18 +94,18 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class Packing:
-    """Disks in a periodic cell. Nothing is rescaled: units are those of the source.
+    """Disks in a periodic cell, in the units of the source.
 
     Parameters
     ----------
     positions : array_like, shape (N, 2)
-        Any periodic image will do.
+        Any periodic images.
     radii : array_like, shape (N,)
     box : Box
     potential_name : str
         A name from :data:`petscjam.geometry.potential.POTENTIALS`.
     certificate : Certificate
-        Left out: one that says nothing.
+        Default: an empty one.
     provenance : mapping
         Versions, parameters, seed: plain strings and numbers.
 
@@ -146,7 +146,7 @@ class Packing:
 
     @property
     def potential(self) -> Potential:
-        """The contact potential the packing was made with."""
+        """The contact potential of the packing."""
         return potential(self.potential_name)
 
     @property
@@ -169,12 +169,12 @@ class Packing:
 
     @classmethod
     def read(cls, path: str | PathLike[str]) -> Packing:
-        """Read a packing that :meth:`write` wrote (H5MD): the same bits.
+        """Read a packing of :meth:`write` (H5MD), with all bits equal.
 
         Raises
         ------
         InputError
-            If the file is missing, is no such file, is damaged (the checksum is verified), or holds no packing.
+            If the file is missing, has another format, is damaged (the checksum is verified), or contains no packing.
         """
         with packing_file.opened(path) as stored:
             packing = cls(

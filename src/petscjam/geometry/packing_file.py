@@ -1,15 +1,15 @@
-"""Packings as H5MD 1.1 files (nongnu.org/h5md) that other programs open, too.
+"""Packings as H5MD 1.1 files (nongnu.org/h5md), which other programs can read.
 
-H5MD allows two dimensions, but readers such as MDAnalysis insist on three. So positions get z = 0, and
+H5MD allows two dimensions, but readers such as MDAnalysis require three. So positions have z = 0, and
 the cell a third edge, one largest diameter long, along an axis that is not periodic (there the standard
-calls the edge a placeholder). The one group of particles is called "trajectory" because that is where
-MDAnalysis looks for the number of particles:
+calls the edge a placeholder). The group of particles is called "trajectory" because MDAnalysis reads the number
+of particles there:
 
     universe = MDAnalysis.Universe.empty(len(packing), trajectory=True)
     universe.load_new("p.h5", format="H5MD", convert_units=False)
 
-(A program that, like MDAnalysis, keeps only lengths and angles of a cell takes the first edge to lie along
-x.) What H5MD has no place for is in /parameters/petscjam.
+(A program that stores only lengths and angles of a cell, like MDAnalysis, puts the first edge along x.)
+Everything outside the H5MD standard is in /parameters/petscjam.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ UNITS = "lengths as in the source (nothing is rescaled); the potential fixes the
 
 
 class Stored(NamedTuple):
-    """What a file holds of a packing.
+    """The content of a file of a packing.
 
     Attributes
     ----------
     positions, radii, cell : (N, 2), (N,), (2, 2)
     potential_name, checksum : str
     certificate : dict
-        What is known of the fields of :class:`petscjam.Certificate`.
+        The measured fields of :class:`petscjam.Certificate`.
     provenance : dict
     """
 
@@ -65,7 +65,7 @@ class Stored(NamedTuple):
 
 
 def write(path: str | PathLike[str], stored: Stored, *, overwrite: bool = False) -> None:
-    """Write a packing to ``path``, wholly or not at all.
+    """Write a packing to ``path``, completely or not at all.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def write(path: str | PathLike[str], stored: Stored, *, overwrite: bool = False)
         box = group(particles, "box")
         box.attrs.update(dimension=3, boundary=np.array([b"periodic", b"periodic", b"none"]))
         group(box, "edges")["value"] = edges[None]
-        for name in ("step", "time"):  # hard links, as the standard demands
+        for name in ("step", "time"):  # hard links, as the standard requires
             box[f"edges/{name}"] = position[name]
         ours = group(file, OURS)
         ours.attrs.update(schema=SCHEMA, potential=stored.potential_name, checksum=stored.checksum, units=UNITS)
@@ -96,7 +96,7 @@ def write(path: str | PathLike[str], stored: Stored, *, overwrite: bool = False)
 
 @contextmanager
 def opened(path: str | PathLike[str]) -> Iterator[Stored]:
-    """Yield what a file of :func:`write` holds; an InputError of the block names the file.
+    """Yield the content of a file of :func:`write`; an InputError of the block names the file.
 
     Raises
     ------

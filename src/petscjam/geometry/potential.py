@@ -1,7 +1,7 @@
 """Repulsive contact potentials, by name: harmonic, Hertzian and other powers, each in two normalisations.
 
-A potential is data: an exponent, and whether the overlap counts absolutely or relative to the sum of radii.
-No other spring constant would do in any unit of length.
+A potential is data: an exponent, and whether the overlap is absolute or relative to the sum of radii. With these
+two spring constants results do not depend on the unit of length.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Potential:
     relative : bool
         Whether k(σ) is σ^−α, so that U = (δ/σ)^α / α, or 1.
     source : str
-        Where it comes from.
+        Publication.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Potential:
         return self.spring_constant(sigma) * np.maximum(sigma - r, 0) ** (self.exponent - 1)
 
     def stiffness(self, r: Array, sigma: Array) -> Array:
-        """Second derivative d²U/dr²; a pair that just touches counts as a contact."""
+        """Second derivative d²U/dr²; a pair with overlap 0 counts as a contact."""
         alpha = self.exponent
         overlap = np.maximum(sigma - r, 0)
         return np.where(r <= sigma, self.spring_constant(sigma) * (alpha - 1) * overlap ** (alpha - 2), 0.0)
@@ -71,7 +71,7 @@ POTENTIALS = {
 
 
 def power_law(exponent: float, relative: bool) -> Potential:
-    """Return the potential of an exponent; one without a name of its own is called ``power-α[-relative]``.
+    """Return the potential of an exponent; its name, unless it has one in POTENTIALS, is ``power-α[-relative]``.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Viscous force laws, each as data: what they rub on, how hard, and where.
+"""Viscous force laws, each as data: friction coefficients, and the point where the tangential velocity is taken.
 
-A law is an entry of :data:`LAWS`; the command line, the solver and every test of laws find it there. Its
-fields are its options, and their ``help`` is what the command says of them.
+A law is an entry of :data:`LAWS`, which the command line, the solver and the tests of laws use. Its fields are
+its options, with their ``help`` as help texts.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class DampingLaw:
     normal, tangential : float
         On Δu∥ and Δu⊥ of each contact.
     at_contact_point : bool
-        Whether Δu⊥ is taken where the disks touch (they roll) or at their centres.
+        Whether Δu⊥ is taken at the contact point (with rotations) or at the centres.
     body : float
-        On the motion of each disk against the affine flow.
+        On the velocity of each disk relative to the affine flow.
     fluid : float
-        Viscosity of the fluid between, which the strain itself has to overcome.
+        Viscosity of the fluid between the disks, on the strain rate.
     """
 
     name: ClassVar[str]
@@ -76,11 +76,11 @@ class ContactDamping(DampingLaw):
     beta : float
         Ratio β ≥ 0 of tangential to normal damping.
     rotations : bool
-        Take Δu⊥ where the disks touch and let them roll, or at their centres.
+        Take Δu⊥ at the contact point, with rotations, or at the centres.
     """
 
     beta: float = field(default=1.0, metadata={"help": "tangential over normal damping"})
-    rotations: bool = field(default=True, metadata={"help": "damp at the centres, disks do not roll"})
+    rotations: bool = field(default=True, metadata={"help": "damp the velocities of the centres, without rotations"})
     name: ClassVar[str] = "contact"
     normal: ClassVar[float] = 1.0
 
@@ -91,13 +91,13 @@ class ContactDamping(DampingLaw):
 
     @property
     def at_contact_point(self) -> bool:
-        """Whether the disks roll."""
+        """Whether rotations enter Δu⊥."""
         return self.rotations
 
 
 @dataclass(frozen=True)
 class StokesDrag(DampingLaw):
-    """Stokes or mean-field drag (BT eqs. 7–8): kτ1 on each disk's motion against the affine flow.
+    """Stokes or mean-field drag (BT eqs. 7–8): kτ1 on the velocity of each disk relative to the affine flow.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, S
 
 
 def law_or_default(damping: DampingLaw | None) -> DampingLaw:
-    """Return ``damping``; left out, contact damping with β = 1 and rotations."""
+    """Return ``damping``; default: contact damping with β = 1 and rotations."""
     law = ContactDamping() if damping is None else damping
     if not isinstance(law, DampingLaw):
         raise InputError(f"damping: {shown(law)} is not a law; take ContactDamping(…) or StokesDrag(…)")
@@ -145,7 +145,7 @@ def viscous_form(
     times : float or (C,)
         Factor of the friction of each contact, in τ1.
     fluid : bool
-        Whether B has the viscosity of the fluid: it adds iωηF to G*, and changes nothing else.
+        Whether B contains the viscosity of the fluid, which only adds iωηF to G*.
     """
     weights = np.multiply.outer(np.broadcast_to(times, len(network)), [law.normal, law.tangential])
     eta = law.fluid if fluid else 0.0

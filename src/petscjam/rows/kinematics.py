@@ -1,15 +1,15 @@
-"""The per-contact rows: the only place that knows signs.
+"""The rows of the contacts: the only place with signs.
 
-A contact c = (i, j) turns the motion of its two disks and the strain s of the cell into a normal and
-a tangential relative displacement (BT eqs. 4–6 with the signs of docs/theory.md)
+A contact c = (i, j) maps the motion of its two disks and the strain s of the cell to a normal and a tangential
+relative displacement (BT eqs. 4–6 with the signs of docs/theory.md)
 
     Δu∥ = n·(u_j − u_i + s F′r),      Δu⊥ = t·(u_j − u_i + s F′r) − ρi θi − ρj θj,      t = ẑ × n.
 
-Everything linear is a weighted sum of squares of these: see :class:`Form`.
+Every linear quantity is a weighted sum of squares of these: see :class:`Form`.
 
 Axes: c contact, k normal/tangential, a row (c and k), s strain mode, i disk,
 d degree of freedom of a disk (ux, uy, θd), x Cartesian. Rotations are lengths, θ times the mean diameter d:
-forces and torques are then of one kind, and no norm depends on the unit of length.
+then torques have the unit of forces, and relative norms do not depend on the unit of length.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from petscjam.geometry.network import ContactNetwork
 
 Field = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
-Motion = tuple[Field, ArrayLike]  # (q, s): every disk beyond the affine motion, and the strains
+Motion = tuple[Field, ArrayLike]  # (q, s): non-affine motion of every disk, and the strains
 
 
 @dataclass(frozen=True, eq=False)
 class StrainMode:
-    """How the cell deforms: F(s) = 1 + s F′ + ½ s² F″ to second order.
+    """A deformation of the cell, F(s) = 1 + s F′ + ½ s² F″ to second order.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def strain_mode(name: str) -> StrainMode:
 class Form:
     """The quadratic form Σ_a w_a (A_a·q + a_a·s)² + body Σ_i |u_i|² + s·extra·s.
 
-    K and B are both of this kind. A rank holds the rows of the contacts that touch its disks; ``mine`` and
-    ``my_disks`` mark what it counts in sums over the whole system.
+    K and B have this form. A rank has the rows of all contacts of its disks; ``mine`` and ``my_disks`` mark its
+    share in sums over the whole system.
 
     Attributes
     ----------
@@ -103,12 +103,12 @@ class Form:
     my_disks: Mask
 
     def relative(self, q: Field, s: ArrayLike) -> Field:
-        """Return Δu∥ and Δu⊥ of each contact in turn, (A,).
+        """Return Δu∥ and Δu⊥, alternating, of each contact, (A,).
 
         Parameters
         ----------
         q : (N, 3) complex
-            Motion beyond the affine one; rotations are θ times the mean diameter.
+            Non-affine motion; rotations are θ times the mean diameter.
         s : (S,)
             Strains.
         """
@@ -121,7 +121,7 @@ class Form:
         Parameters
         ----------
         left, right : (q, s)
-            As for :meth:`relative`; the left one is conjugated.
+            As for :meth:`relative`; ``left`` is conjugated.
         """
         (ql, sl), (qr, sr) = left, right
         contacts = np.vdot(self.relative(ql, sl), self.mine * self.weights * self.relative(qr, sr))
@@ -193,12 +193,12 @@ def contact_rows(
     network : ContactNetwork
     strains : sequence of StrainMode
     at_contact_point : bool
-        Whether Δu⊥ is taken where the disks touch, and rotations count.
+        Whether Δu⊥ is taken at the contact point, with rotations.
 
     Returns
     -------
     rows : sparse (2C, 3N)
-        Of Δu∥ and Δu⊥ of each contact in turn.
+        Of Δu∥ and Δu⊥, alternating, of each contact.
     strain_rows : (2C, S)
     """
     n = network.normal
@@ -233,7 +233,7 @@ def form(
     body: float = 0.0,
     extra: Array,
 ) -> Form:
-    """Return the rows of a form that touch ``my_disks``.
+    """Return the rows of a form with at least one of ``my_disks``.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def elastic_form(network: ContactNetwork, my_disks: Mask, strains: Sequence[Stra
     network, my_disks, strains
         As for :func:`form`.
     prestress : bool
-        Whether the second term counts.
+        Whether K has the second term.
     """
     transverse = -network.force / network.distance * prestress
     weights = np.stack([network.stiffness, transverse], axis=1)
