@@ -346,7 +346,7 @@ def test_several_beta_are_one_model_if_that_is_asked_for(packings, tmp_path, cap
     assert {g.damping for g in results} == {pj.ContactDamping(beta) for beta in (1e-3, 1e-2, 0.1, 1.0, 10.0)}
     assert len({tuple(g.model.nodes) for g in results}) == (1 if family else 5)
     assert [g.model.definite for g in results] == [not family] * 5  # estimates, or bounds
-    way = "one model in (omega, beta) a packing; its errors are estimates" if family else "solved for one by one"
+    way = "one model in (omega, beta) for each packing; its errors are estimates" if family else "one model for each"
     assert f"5 values of beta: {way}\n" in capsys.readouterr().out
 
 

@@ -19,7 +19,7 @@ from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Wanted, check_plane
 
-NETCDF_SIGNATURE = b"CDF"  # of the classic format; that of version 4 is HDF5
+NETCDF_SIGNATURE = b"CDF"  # of the classic format; version 4 is HDF5
 JSRC_POTENTIALS = {"HarmonicPotential": "harmonic-relative", "HertzianPotential": "hertzian-relative"}
 
 
@@ -53,8 +53,8 @@ def read_jaxmd(path: Path, wanted: Wanted) -> Packing:
 def read_jsrc(path: Path, wanted: Wanted) -> Packing:
     """Read a database of jsrc (Goodrich, Liu and Nagel's jamming code): positions as fractions of the box.
 
-    Its boxes multiply columns and are stored column by column: each two numbers are a lattice vector. Its
-    potentials are those of r/σ.
+    Its boxes multiply columns and are stored column by column: two numbers in sequence are a lattice vector. Its
+    potentials are functions of r/σ.
     """
     with open_arrays(path) as file:
         index = wanted.one_of(file["pos"].shape[0])
@@ -72,7 +72,7 @@ def read_jsrc(path: Path, wanted: Wanted) -> Packing:
 
 
 def _string(file: Mapping[str, Any], name: str, index: int) -> str:
-    """Return the name that a string of jsrc begins with; parameters follow behind colons."""
+    """Return the name at the beginning of a string of jsrc; parameters follow after colons."""
     if name not in file:
         return ""
     said = np.asarray(file[name][index]).tobytes().decode(errors="replace")
@@ -85,7 +85,7 @@ def _from_fractions(file: Mapping[str, Any], index: int, cell: Array, law: str, 
 
 
 def read_h5md(path: Path, wanted: Wanted) -> Packing:
-    """Read H5MD of another program: its one group of particles, with radii, diameters or species."""
+    """Read H5MD of another program: its only group of particles, with radii, diameters or species."""
     with open_h5(path) as file:
         particles = file.get("particles", {})
         groups = [name for name, node in particles.items() if {"position", "box"} <= set(node)]

@@ -27,13 +27,13 @@ def export_packing(packing: Packing, path: str | PathLike[str], to: str | None =
     packing : Packing
     path : path
     to : str, optional
-        ``xyz``, ``gsd`` or ``h5md``. Left out: the ending of ``path`` decides; without one, ``xyz``.
+        ``xyz``, ``gsd`` or ``h5md``. Default: from the extension of ``path``; without one, ``xyz``.
     overwrite : bool
 
     Raises
     ------
     InputError
-        If the format is unknown, not that of the ending, or its library missing, or ``path`` exists (unless
+        If the format is unknown or not that of the extension, its library is missing, or ``path`` exists (unless
         ``overwrite``) or cannot be written.
     """
     to = format_of(path, to, "xyz")
@@ -45,12 +45,12 @@ def export_packing(packing: Packing, path: str | PathLike[str], to: str | None =
 
 
 def format_of(path: str | PathLike[str], to: str | None, default: str) -> str:
-    """Return the format to write to ``path``: ``to``, or that of the ending, or, without one, ``default``.
+    """Return the format for ``path``: ``to``, or that of the extension, or, without one, ``default``.
 
     Raises
     ------
     InputError
-        If the ending is that of another format than ``to``, or, without ``to``, of none.
+        If the extension belongs to another format than ``to``, or, without ``to``, to none.
     """
     ending = Path(path).suffix
     meant = ENDINGS.get(ending.lower())
@@ -63,10 +63,10 @@ def format_of(path: str | PathLike[str], to: str | None, default: str) -> str:
 
 
 def extended_xyz(packing: Packing) -> bytes:
-    """Extended XYZ, as OVITO and ASE read it; :func:`petscjam.import_packing` gives back the same bits.
+    """Extended XYZ for OVITO and ASE; :func:`petscjam.import_packing` reads it with all bits equal.
 
-    The third lattice vector is one largest diameter. Species are chemical symbols, because some readers
-    insist.
+    The third lattice vector is one largest diameter. Species are chemical symbols, because some readers require
+    them.
     """
     symbols, species = _species(packing.radii)
     (ax, ay), (bx, by) = packing.box.cell.tolist()
@@ -77,16 +77,16 @@ def extended_xyz(packing: Packing) -> bytes:
         f"potential={packing.potential_name} source_checksum={packing.checksum}",
     ]
     for s, (x, y), radius in zip(species, packing.positions.tolist(), packing.radii.tolist(), strict=True):
-        lines.append(f"{symbols[s]} {x} {y} 0 {radius}")  # all digits that it takes to read the same bits
+        lines.append(f"{symbols[s]} {x} {y} 0 {radius}")  # all digits, to read equal bits
     return "\n".join([*lines, ""]).encode()
 
 
 def gsd(packing: Packing) -> bytes:
-    """GSD of HOOMD's schema 1.4, as HOOMD-blue, OVITO and freud read it: single precision.
+    """GSD of HOOMD's schema 1.4 for HOOMD-blue, OVITO and freud: single precision.
 
-    HOOMD puts the first lattice vector along x, the second above it and the origin into the middle of the
-    cell. So the packing is turned by the angle of its first vector and wrapped into the cell, and a second
-    vector that would point below the x-axis is reversed; it spans the same lattice.
+    In HOOMD the first lattice vector is along x, the second above it, and the origin in the centre of the cell.
+    So the packing is rotated by the angle of its first vector and wrapped into the cell. If the second vector
+    would point below the x-axis, it is reversed; the lattice is the same.
     """
     library = gsd_library()
     a, b = packing.box.cell
@@ -107,7 +107,7 @@ def gsd(packing: Packing) -> bytes:
     frame.particles.types, frame.particles.typeid = _species(packing.radii)
     with TemporaryDirectory() as folder:
         path = Path(folder, "packing.gsd")
-        # The schema is named because that of gsd's own open, 2.0 since version 5, is new to many readers.
+        # The schema is given because many readers do not know the default of gsd.open, 2.0 since version 5.
         with library.fl.open(
             str(path), "w", application=f"petscjam {release('petscjam')}", schema="hoomd", schema_version=[1, 4]
         ) as file:
@@ -118,7 +118,7 @@ def gsd(packing: Packing) -> bytes:
 def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
     """Return ``x`` (N,) of single precision with −L/2 ≤ x − xy·y < L/2, computed in single and in double.
 
-    The cast may put a disk on the upper edge; it is rounded towards the middle instead.
+    The cast may put a disk on the upper edge; then it is rounded towards the centre.
     """
     for power in range(-24, 0):
         s = [(x.astype(t) - xy.astype(t) * y.astype(t)) / L.astype(t) for t in (np.float32, np.float64)]
@@ -130,7 +130,7 @@ def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
 
 
 def h5md(packing: Packing) -> bytes:
-    """Our own file, which MDAnalysis reads (:mod:`petscjam.geometry.packing_file` says how)."""
+    """petscjam's own file, which MDAnalysis can read (:mod:`petscjam.geometry.packing_file`)."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "packing.h5")
         packing.write(path)
@@ -138,7 +138,7 @@ def h5md(packing: Packing) -> bytes:
 
 
 def _species(radii: Array) -> tuple[list[str], Integers]:
-    """Return names by size, from H on, and which each disk has; X for all if there are more than ten."""
+    """Return names by size, from H on, and the name of each disk; X for all if there are more than ten."""
     sizes, species = np.unique(radii, return_inverse=True)
     if len(sizes) > len(SYMBOLS):
         return ["X"], np.zeros(len(radii), dtype=int)

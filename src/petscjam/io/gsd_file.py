@@ -1,4 +1,4 @@
-"""GSD, as HOOMD-blue writes it; lengths there are in single precision as a rule."""
+"""GSD of HOOMD-blue; lengths are usually in single precision."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Wanted, check_plane
 
-SINGLE = 1e-6  # diameters of single and of double precision differ by less, relatively
+SINGLE = 1e-6  # largest relative difference of diameters in single and in double precision
 
 
 def read_gsd(path: Path, wanted: Wanted) -> Packing:
@@ -42,7 +42,7 @@ def read_gsd(path: Path, wanted: Wanted) -> Packing:
                     f"shape of its type {name}"
                 )
             diameters[i] = by_shape[name]
-    # The default is 1: for disks of one type it may be meant, for several it says nothing.
+    # The default diameter is 1: it may be correct for disks of one type, but not for several types.
     unknown = by_default and len(by_shape) < len({*types}) and (len({*types}) > 1 or wanted.diameters)
     radii = wanted.radii({} if unknown else {"diameter": diameters}, types)
     check_plane(z, radii)

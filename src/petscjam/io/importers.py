@@ -1,8 +1,7 @@
-"""Packings that other programs wrote. The format is found from the content; a new one is one entry below.
+"""Packings of other programs. The format is recognised from the content; a new format is one entry below.
 
-A reader takes a path and what is wanted of it (:class:`petscjam.io.reading.Wanted`); it gives a packing, with
-the potential of the file if that says one. It complains without naming the file: that is done once, for
-all of them. Nothing is rescaled.
+A reader takes a path and a :class:`petscjam.io.reading.Wanted`, and returns a packing, with the potential of the
+file if there is one. The name of the file is added to its error messages here. Lengths are not rescaled.
 """
 
 from __future__ import annotations
@@ -62,16 +61,16 @@ def import_packing(
     potential_name: str | None = None,
     diameters: Mapping[str, float] | None = None,
 ) -> Packing:
-    """Read a packing of any known format, packed by gzip, bzip2 or xz or not.
+    """Read a packing of any known format; the file may be compressed by gzip, bzip2 or xz.
 
     Parameters
     ----------
     path : path
     index : int
-        Which packing, counted from 0, where a file holds several.
+        Number of the packing in a file with several, from 0 on.
     potential_name : str, optional
-        The contact potential of a file that does not say it: GSD, LAMMPS and H5MD of other programs (left
-        out: ``harmonic``), jsrc (``harmonic-relative``), and extended XYZ without ``potential=``.
+        The contact potential, if the file does not contain it: GSD, LAMMPS and H5MD of other programs (default
+        ``harmonic``), jsrc (``harmonic-relative``), and extended XYZ without ``potential=``.
     diameters : mapping, optional
         The diameter of each type of disks by its name, as ``{"1": 1.0, "2": 1.4}``, in the length unit of the
         file, for a file without radii: extended XYZ, GSD, LAMMPS, H5MD of other programs. Without types,
@@ -80,16 +79,15 @@ def import_packing(
     Returns
     -------
     Packing
-        In the length unit of the file. Except for our own files, the provenance holds the name of the
-        file, the format and, as ``header``, what its header says about its origin; and the ``precision`` of
-        the positions, if that is less than double.
+        In the length unit of the file. Except for petscjam's own files, the provenance has the name of the file,
+        the format, its header as ``header``, and the ``precision`` of the positions, if that is less than double.
 
     Raises
     ------
     InputError
-        If the file cannot be read, its format is unknown, it contradicts itself, it has radii though
-        ``diameters`` are given, its potential is another one than ``potential_name``, or naming the line that
-        makes no sense.
+        If the file cannot be read, its format is unknown, it is contradictory, it has radii although
+        ``diameters`` are given, or its potential is not ``potential_name``. For an error in text the message
+        names the line.
     """
     path = Path(path)
     named = None if diameters is None else {str(name): float(value) for name, value in diameters.items()}
@@ -112,7 +110,7 @@ def import_packing(
 
 @contextmanager
 def _unpacked(path: Path) -> Iterator[Path]:
-    """Yield ``path``, or of a file that is packed an unpacked copy of the same name."""
+    """Yield ``path``, or for a compressed file a decompressed copy of the same name."""
     with open(path, "rb") as file:
         head = file.read(8)
     unpack = next((unpack for signature, unpack in PACKED.items() if head.startswith(signature)), None)
@@ -125,7 +123,7 @@ def _unpacked(path: Path) -> Iterator[Path]:
             with unpack(path) as packed, open(copy, "wb") as file:
                 shutil.copyfileobj(packed, file)
         except (EOFError, zlib.error, lzma.LZMAError, gzip.BadGzipFile) as error:
-            raise InputError(f"damaged or cut short, cannot be unpacked ({error})") from error
+            raise InputError(f"damaged or truncated, cannot be decompressed ({error})") from error
         try:
             yield copy
         except InputError as error:
@@ -133,13 +131,13 @@ def _unpacked(path: Path) -> Iterator[Path]:
 
 
 def read_own(path: Path, wanted: Wanted) -> Packing:
-    """Read our own H5MD."""
+    """Read petscjam's own H5MD."""
     wanted.one_of(1)
     return Packing.read(path)
 
 
 def read_sheared(path: Path, wanted: Wanted) -> Packing:
-    """Read the last state of a sheared run as it is: not minimised."""
+    """Read the last state of a sheared run, not minimised."""
     from petscjam.md.quench import snapshot
     from petscjam.md.result import read_run
 
@@ -150,14 +148,14 @@ def read_sheared(path: Path, wanted: Wanted) -> Packing:
 
 
 def imbalance(packing: Packing) -> str | None:
-    """Say how large the forces are that do not balance, and what most likely is the cause; None: they do.
+    """Return a text on the size of the net forces on disks and their likely cause; None if forces balance.
 
-    Numbers that are rounded by up to δ leave forces of about k·δ on a disk.
+    Rounding of the numbers by up to δ gives forces of about k·δ on a disk.
 
     Raises
     ------
     InputError
-        If two disks coincide.
+        If two disks have the same position.
     """
     network = ContactNetwork.of(packing)
     if network.balanced:
@@ -195,7 +193,7 @@ def _digits(values: Array) -> int:
 
 
 def _last_digit(largest: float, digits: int) -> float:
-    """Return what the last of so many digits counts in a number of this size."""
+    """Return the value of the last digit of a number of this size with ``digits`` digits."""
     return 10.0 ** (np.floor(np.log10(largest or 1.0)) + 1 - digits)
 
 

@@ -1,4 +1,4 @@
-"""Text of jamBashBulk, k = 1: for each packing a header, then x, y, radius between braces."""
+"""Text of jamBashBulk, k = 1: for each packing a header, then x, y, radius in braces."""
 
 from __future__ import annotations
 

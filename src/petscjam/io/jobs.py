@@ -1,4 +1,4 @@
-"""Analyses of many packings: packings × laws × pre-stress, dealt to teams of ranks and stored as they come."""
+"""Analyses of many packings × laws × pre-stress, distributed over teams of ranks; each result is stored at once."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 from petscjam.rows.kinematics import strain_mode
 
-LARGE = 20_000  # disks from which the memory of a factor is announced
-Made = set[tuple[str, str, bool]]  # checksum, law and pre-stress of each result that a file holds
+LARGE = 20_000  # number of disks from which on the memory of a factor is printed
+Made = set[tuple[str, str, bool]]  # checksum, law and pre-stress of each result in a file
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Packings, laws and pre-stress whose results go to one file, and how they get there.
+    """Packings, laws and pre-stress whose results go to one file, and how it is written.
 
     Attributes
     ----------
@@ -48,13 +48,13 @@ class Ensemble:
     output : path
         Of the results.
     laws : sequence of DampingLaw or None
-        None for an analysis that takes no law.
+        None for an analysis without a damping law.
     prestress : sequence of bool
     team_size : int, optional
-        Ranks that work on one packing together. Left out: one, or more where there are fewer jobs than ranks
-        or the factors would not fit into memory.
+        Ranks that work together on one packing. Default: one, or more if there are fewer jobs than ranks or the
+        factors do not fit into memory.
     resume : bool
-        Keep the results that ``output`` holds, and make those that are missing.
+        Keep the results in ``output``, and compute the missing ones.
     overwrite : bool
         Replace ``output``.
     """
@@ -77,7 +77,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class Job:
-    """A packing, with or without pre-stress, under the laws that are solved for together.
+    """A packing, with or without pre-stress, and the laws that are computed together.
 
     Attributes
     ----------
@@ -101,19 +101,19 @@ class Job:
         return readable(self.file.stem)
 
     def missing(self, there: Made) -> set[str]:
-        """Return the names of results that are not ``there``. The model is that of all laws all the same."""
+        """Return the names of results that are not ``there``. The model is always that of all laws."""
         return {name for law, name in self.groups.items() if (self.checksum, str(law), self.prestress) not in there}
 
 
 class Analysis(ABC):
-    """What is done to each packing of an ensemble."""
+    """The computation for each packing of an ensemble."""
 
-    named_alike = True  # the names of results tell law and pre-stress even where there is one alone
+    named_alike = True  # whether names of results contain law and pre-stress even if there is only one
     out_of_core = False
 
     @property
     def made_with(self) -> str:
-        """What is stored with each result, to be compared on resuming."""
+        """Text that is stored with each result and compared on resuming."""
         return ""
 
     @property
@@ -122,12 +122,12 @@ class Analysis(ABC):
         """All settings as text; the ranks must agree on it."""
 
     def together(self, law: DampingLaw | None) -> Any:
-        """Return what the laws that are solved for together have in common."""
+        """Return the key of laws that are computed together."""
         return law
 
     @abstractmethod
     def there(self, ensemble: Ensemble) -> Made:
-        """Return what the output holds, or refuse it if it was made otherwise."""
+        """Return the results in the output, or raise an error if they were made with other settings."""
 
     @abstractmethod
     def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
@@ -137,7 +137,7 @@ class Analysis(ABC):
         ----------
         packing : Packing
         laws : sequence
-            Those that are solved for together.
+            Those that are computed together.
         **common
             prestress, comm, name and progress, as for :func:`petscjam.spectrum`.
         """
@@ -151,9 +151,9 @@ class Analysis(ABC):
             Of the result.
         result : object
         seconds : float
-            What it took.
+            Time of the computation.
         before : object
-            The result before this one of the same job, or None.
+            The previous result of the same job, or None.
         """
         return f"{name}: {seconds:.1f} s"
 
@@ -184,11 +184,11 @@ class PackingAnalysis(Analysis):
         return self.made_with
 
     def there(self, ensemble: Ensemble) -> Made:
-        """Return what the output holds; all of it must have been made by this function with these options."""
+        """Return the results in the output; all must have been made by this function with these options."""
         items = inventory(ensemble.output)
         for item in items:
             own = item.made_with or "another verb"
-            if own.replace("rebuilt_response(", "mode_sum(") != self.made_with:  # the name before
+            if own.replace("rebuilt_response(", "mode_sum(") != self.made_with:  # an earlier name
                 raise InputError(
                     f"{ensemble.output}: {item.name} was made by {own}, not {self.made_with}; cannot be resumed"
                 )
@@ -216,9 +216,9 @@ class ModulusAnalysis(Analysis):
     direct : bool
         Solve at each frequency instead.
     fields_at : (F,)
-        Frequencies, of ``omegas``, whose displacements are kept.
+        Frequencies, of ``omegas``, at which displacements are stored.
     family : bool
-        One model in (ω, β) for all β of contact damping (:func:`petscjam.beta_family`). It takes fewer
+        One model in (ω, β) for all β of contact damping (:func:`petscjam.beta_family`). It needs fewer
         factorisations than a model for each β; its errors are estimates, not bounds.
     out_of_core, block_low_rank : bool, float
         As for :func:`petscjam.spectrum`.
@@ -240,26 +240,26 @@ class ModulusAnalysis(Analysis):
         return f"G*({', '.join(f'{key}={np.asarray(value).tolist()}' for key, value in vars(self).items())})"
 
     def together(self, law: DampingLaw | None) -> Any:
-        """Return the same for laws that differ in β alone, or in ηF alone, where one model serves them all."""
+        """Return the same key for laws that differ only in β, or only in ηF, if one model is valid for all."""
         if self.family and self._in_family(law):
             return ContactDamping, law.rotations  # type: ignore[union-attr]
         return StokesDrag if isinstance(law, StokesDrag) and not self.direct else law
 
     def way(self, laws: Sequence[DampingLaw]) -> str:
-        """Return a line on how several β are solved for; empty if there are not several."""
+        """Return a line on the method for several β; empty for a single one."""
         count = sum(self._in_family(law) for law in laws)
         if count < 2:
             return ""
         if self.family:
-            return f"{count} values of beta: one model in (omega, beta) a packing; its errors are estimates"
-        return f"{count} values of beta: solved for one by one"
+            return f"{count} values of beta: one model in (omega, beta) for each packing; its errors are estimates"
+        return f"{count} values of beta: one model for each"
 
     def _in_family(self, law: DampingLaw | None) -> bool:
         known = isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA
         return known and not self.direct and bool(np.min(self.omegas) < np.max(self.omegas))
 
     def there(self, ensemble: Ensemble) -> Made:
-        """Return what the output holds; all of it must be of these laws, frequencies and accuracy."""
+        """Return the results in the output; all must have these laws, frequencies and accuracy."""
         pairs = [(law, kept) for law in ensemble.laws for kept in ensemble.prestress]
         wanted = [{"strain": self.strain, "damping": str(law), "prestress": kept} for law, kept in pairs]
         omegas, fields_at = np.asarray(self.omegas), np.asarray(self.fields_at, dtype=float)
@@ -281,7 +281,7 @@ class ModulusAnalysis(Analysis):
             member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
             models = map(member, betas)
         elif strain_mode(self.strain).shears_fluid:
-            # the fluid adds to |G*|: the least of it asks most of the model
+            # the fluid increases |G*|: the smallest viscosity needs the smallest absolute error
             least = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), **common)
             models = (least.with_fluid(law.fluid) for law in laws)
         else:
@@ -290,7 +290,7 @@ class ModulusAnalysis(Analysis):
             yield law, ComplexModulus.sampled(model, self.omegas, self.fields_at)
 
     def line(self, name: str, g: ComplexModulus, seconds: float, before: ComplexModulus | None) -> str:
-        """Return a line of the log: what the result took, and its error."""
+        """Return a line of the log: the cost of the result, and its error."""
         made, accuracy = g.performance, f"residual {g.residuals.max():.1e}"
         same = g.model and before and before.model and g.model.nodes is before.model.nodes
         if g.model:
@@ -311,32 +311,32 @@ def analyse(
     progress: Report | None = None,
     log: Callable[[str], None] = print,
 ) -> tuple[int, list[str]]:
-    """Add the results of an analysis of every packing, under each law, to the output: one group a result. Collective.
+    """Add the results of an analysis of every packing, under each law, to the output: one group each. Collective.
 
-    The file is whole at every moment and holds what is finished.
+    The file is complete at every moment and contains all finished results.
 
     Parameters
     ----------
     ensemble : Ensemble
     analysis : Analysis
     comm : communicator
-        Its ranks are split into teams; each team works on one packing after the other.
+        Its ranks are divided into teams; each team works on one packing after the other.
     progress : callable, optional
-        Called with the fraction done of a team's own work and a text.
+        Called with the completed fraction of a team's work and a text.
     log : callable
-        Gets a line for each result, on the first rank of its team.
+        Called with a line for each result, on the first rank of its team.
 
     Returns
     -------
     made : int
-        How many results were added.
+        Number of results that were added.
     failures : list of str
-        Why others could not be.
+        Reasons of those that failed.
 
     Raises
     ------
     InputError
-        On files that are missing or no packings, an output that exists or was made with other settings.
+        If a file is missing or not a packing, or the output exists or was made with other settings.
     InputError, SolverError
         If there is one job, or there are several and all are refused.
     """
@@ -354,14 +354,14 @@ def analyse(
         size = ensemble.team_size or _team_size(jobs, comm, analysis.out_of_core)
         lost = deal(comm, jobs, work, cost=lambda job: job.particles, size=min(size, comm.size), progress=progress)
     refused = sum(isinstance(error, InputError) for _, error in lost)
-    if lost and not there and (len(jobs) == 1 or refused == len(jobs)):  # what was asked for makes no sense
+    if lost and not there and (len(jobs) == 1 or refused == len(jobs)):  # invalid arguments
         raise lost[0][1]
     return comm.allreduce(work.made), [str(error) for _, error in lost]
 
 
 @dataclass
 class _Work:
-    """What a rank does for :func:`analyse`; ``made`` counts the results that it stored."""
+    """The work of a rank in :func:`analyse`; ``made`` counts the results that it stored."""
 
     ensemble: Ensemble
     analysis: Analysis
@@ -394,7 +394,7 @@ class _Work:
             yield from self.analysis.results(packing, list(job.groups), **common)
 
     def _store(self, result: Any, name: str, shared: bool) -> None:
-        """Add a result; the first one of a run that does not keep what is there replaces the file."""
+        """Add a result; the first result replaces the file, unless ``resume`` is set."""
         output, run = self.ensemble.output, self.run
         with turn(output) if shared else nullcontext():
             fresh = not self.ensemble.resume and run_of(output) != run
@@ -402,7 +402,7 @@ class _Work:
 
 
 def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
-    """Name every result: by packing and checksum and, where there are several, by law and pre-stress."""
+    """Name every result: by packing and checksum and, if there are several, by law and pre-stress."""
     laws = list(dict.fromkeys(ensemble.laws))
     together: dict[Any, list[DampingLaw | None]] = {}
     for law in laws:
@@ -424,7 +424,7 @@ def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
 
 
 def _team_size(jobs: Sequence[Job], comm: Any, out_of_core: bool) -> int:
-    """Return ranks for each job: no rank without work, and factors that fit into the memory of a node."""
+    """Return the ranks for each job, so that all ranks work and factors fit into the memory of a node."""
     size = max(1, comm.size // max(1, len(jobs)))
     need = factor_memory(3 * max((job.particles for job in jobs), default=0))
     there = available_memory()

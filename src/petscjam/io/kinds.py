@@ -1,4 +1,4 @@
-"""The kinds of results, and of files. docs/howto/extend.md adds one of the first."""
+"""The kinds of results, and of files. docs/howto/extend.md adds a kind of results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KINDS = {
     "moduli": Kind("petscjam.response.result:ComplexModulus"),
     "nonaffine": Kind(
         "petscjam.analysis.nonaffine:QuasistaticResponse",
-        "quasi-static response: how contacts slide and disks leave the affine motion, per unit strain",
+        "quasi-static response per unit strain: relative displacements at contacts, non-affine displacements",
     ),
     "modes": Kind("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
     "relaxations": Kind("petscjam.response.relaxations:RelaxationModes"),
@@ -46,7 +46,7 @@ KINDS = {
     ),
     "correlations": Kind(
         "petscjam.analysis.correlations:Correlations",
-        "how far non-affine displacements are correlated along the shear, at any frequency",
+        "correlation length of non-affine displacements along x, at any frequency",
     ),
     "drag": Kind(
         "petscjam.analysis.drag:NonlinearModulus",
@@ -70,9 +70,9 @@ def kind_of(result: type[Result]) -> str:
 
 
 def recognise(path: str | PathLike[str]) -> str:
-    """Return what is at ``path``: ``library`` or ``runs`` (folders), ``run``, ``results`` or ``packing``.
+    """Return the content of ``path``: ``library`` or ``runs`` (folders), ``run``, ``results`` or ``packing``.
 
-    A packing is of any format: :func:`petscjam.import_packing` tells them apart, and refuses what is none.
+    A packing may have any format: :func:`petscjam.import_packing` recognises it, or refuses the file.
 
     Raises
     ------

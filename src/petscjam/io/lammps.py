@@ -1,7 +1,7 @@
 """Files of LAMMPS: data files, and dumps in text.
 
-No library that reads them gives radii in double precision without bringing a whole program along: lammpsio
-and ASE drop them, MDAnalysis rounds positions to single precision.
+No library gives radii in double precision without installing a whole program: lammpsio and ASE drop them,
+MDAnalysis rounds positions to single precision.
 
 Axes: l lattice vector, x Cartesian.
 """
@@ -27,7 +27,7 @@ STYLES = {  # of atoms in a data file; three image flags may follow
     "bpm/sphere": "id molecule type diameter density x y z",
     "atomic": "id type x y z",
 }
-BOUNDS = {"": 2, "xy xz yz": 3, "abc origin": 4}  # ways of a dump to write the box: numbers in each line
+BOUNDS = {"": 2, "xy xz yz": 3, "abc origin": 4}  # numbers in each line of the box in a dump
 ITEM = re.compile("ITEM: (TIMESTEP|NUMBER OF ATOMS|BOX BOUNDS|ATOMS)(.*)")
 HEADER = ("atoms", "xlo xhi", "ylo yhi", "zlo zhi", "xy xz yz", "avec", "bvec")
 
@@ -39,12 +39,12 @@ def read_lammps_data(path: Path, wanted: Wanted) -> Packing:
     lines = text.lines
     sections = [n for n, line in enumerate(lines) if n and line.partition("#")[0].rstrip() == "Atoms"]
     if len(sections) != 1:
-        raise InputError(f"the section Atoms {'stands there twice' if sections else 'is missing'}")
+        raise InputError(f"the section Atoms {'is there twice' if sections else 'is missing'}")
     n = sections[0]
     style = lines[n].partition("#")[2].strip()
     if style not in STYLES:
         known = "; ".join(f"'Atoms # {name}': {columns}" for name, columns in STYLES.items())
-        raise InputError(f"line {n + 1}: {lines[n]!r} names no style of atoms that is read: {known}")
+        raise InputError(f"line {n + 1}: {lines[n]!r} has no known style of atoms: {known}")
     header = _header(text, n)
     for name in ("atoms", *(("avec", "bvec") if "avec" in header else ("xlo xhi", "ylo yhi"))):
         if name not in header:
@@ -77,7 +77,7 @@ def read_lammps_data(path: Path, wanted: Wanted) -> Packing:
 
 
 def _header(text: Text, end: int) -> dict[str, list[float]]:
-    """Return the numbers in front of each keyword of the header."""
+    """Return the numbers before each keyword of the header."""
     found: dict[str, list[float]] = {}
     for n in text.rows(1, end):
         words = text.words(n)
@@ -159,7 +159,7 @@ def _radii(wanted: Wanted, text: Text, rows: Iterable[int], names: list[str], si
 
 
 def _widths(bounds: Sequence[Sequence[float]]) -> tuple[list[float], list[float]]:
-    """Return how wide a box is along each axis, and where it begins."""
+    """Return the width of a box along each axis, and its lower ends."""
     for (low, high), axis in zip(bounds, "xyz", strict=False):
         if high < low:
             raise InputError(f"{axis}lo = {low:g} lies above {axis}hi = {high:g}")

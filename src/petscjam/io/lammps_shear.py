@@ -1,8 +1,9 @@
-"""Sheared disks for LAMMPS, which goes on where one computer ends, and back.
+"""Sheared disks as input of LAMMPS, for systems too large for one computer, and reading of its results.
 
-LAMMPS's pair style ``granular`` has the forces of VOT but for two details. Disks with an overlap δ touch at
-R in its velocities and at R − δ/2 in its torques, not at r R/(Ri + Rj) as in VOT eq. 6; and a step takes the
-damping from velocities half a step old. So compare averages: they agree to the order of the overlap and dt.
+LAMMPS's pair style ``granular`` has the forces of VOT except for two details. For disks with an overlap δ the
+contact point is at R in its velocities and at R − δ/2 in its torques, not at r R/(Ri + Rj) as in VOT eq. 6; and
+the damping uses velocities half a step earlier. So compare averages: their differences are of the order of the
+overlap and dt.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
 from petscjam.parallel.claims import made_folder
 
-SIZES = 10  # radii at most: each is an atom type, each pair of types has its spring constant
-FRAMES = 100  # of a run, unless told otherwise
+SIZES = 10  # largest number of radii: each is an atom type, and each pair of types has its spring constant
+FRAMES = 100  # default number of rows of a run
 DISKS = """\
 units lj
 dimension 2
@@ -105,30 +106,30 @@ def write_lammps(
     every: int | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``state`` and its shearing as input of LAMMPS: disks.data, in.shear and in.elastic.
+    """Write input of LAMMPS that shears ``state``: disks.data, in.shear and in.elastic.
 
-    ``lmp -in in.shear`` shears; it leaves shear.log, the frames of shear.dump and, at the end, end.dump. A
+    ``lmp -in in.shear`` shears; it writes shear.log, the frames of shear.dump and, at the end, end.dump. A
     row of shear.log has the strain, the contacts of a disk, and the pressures of forces (``pair``) and of
-    peculiar velocities; of xy, the first index is that of the force, as in VOT eq. 13. In its first row the
-    boundaries do not move yet: leave it out. ``lmp -in in.elastic`` then finds the elastic part of the
+    peculiar velocities; in xy, the first index is that of the force, as in VOT eq. 13. In its first row the
+    boundaries do not move yet: leave it out. ``lmp -in in.elastic`` then computes the elastic part of the
     pressure for each row, in elastic.log; the rest of ``pair`` is dissipative.
 
     Parameters
     ----------
     state : State
-        A rate other than its own changes the linear profile, not the peculiar velocities.
+        If ``rate`` is not its rate, the linear profile changes, but not the peculiar velocities.
     model : Model
     folder : path
-        Made, if need be.
+        Made if necessary.
     rate : float
         Strain rate γ̇ in 1/τe, of either sign.
     strain : float
-        How far to shear from here, > 0, rounded up to whole time steps.
+        Strain of the LAMMPS run, > 0, rounded up to whole time steps.
     dt : float
         Time step in τe; left out, as in :meth:`petscjam.md.model.Model.step`, or less if the contacts of
-        ``state`` demand it. LAMMPS does not divide it when later ones do.
+        ``state`` require it. LAMMPS does not divide it if later contacts require it.
     every : int
-        Time steps from one row and frame to the next; left out, a hundredth of the run.
+        Time steps between rows and between frames; default: a hundredth of the run.
     overwrite : bool
         Replace these three files, and remove end.dump.
 
@@ -179,7 +180,7 @@ def write_lammps(
             check_output(Path(folder, name), overwrite=overwrite)
     for name, text in texts.items():
         write_atomically(Path(folder, name), text.encode())
-    Path(folder, "end.dump").unlink(missing_ok=True)  # the end of another run
+    Path(folder, "end.dump").unlink(missing_ok=True)  # the final state of another run
 
 
 def _check_model(state: State, model: Model) -> None:
@@ -189,7 +190,7 @@ def _check_model(state: State, model: Model) -> None:
         (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
         (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
         (model.rotational_drag, model.rotational_drag == 0, "no drag on rotations, but there is"),
-        (model.normal, model.normal > 0, "tangential damping beside normal damping only, which is"),
+        (model.normal, model.normal > 0, "tangential damping only together with normal damping, which is"),
         (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),
     ):
         if not good:
@@ -207,14 +208,14 @@ def _time_step(state: State, model: Model, dt: float | None) -> float:
 
 
 def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
-    """Read back where a run of :func:`write_lammps` has come to.
+    """Read a state of a run of :func:`write_lammps`.
 
     Parameters
     ----------
     path : path
         The folder, for its end.dump; or a dump in it, as shear.dump.
     frame : int
-        Which frame of the dump, as one counts in Python.
+        Index of the frame of the dump, as in Python.
 
     Raises
     ------
@@ -226,7 +227,7 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
     source = path.with_name("in.shear")
     with naming(source):
         found = dict(re.findall(r"^variable (\w+) index (\S+)$", source.read_text(), re.MULTILINE))
-        potential = found.get("potential", "harmonic-relative")  # older input knew no other
+        potential = found.get("potential", "harmonic-relative")  # older input has no other
         try:
             rate, dt, strain, time = (parsed(found[name]) for name in ("rate", "dt", "strain", "time"))
         except (KeyError, ValueError) as error:
@@ -276,7 +277,7 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
             if words[:2] == ["Loop", "time"]:
                 break
             try:
-                row = [float(word) for word in words]  # not of ours: nan is to be seen
+                row = [float(word) for word in words]  # not from petscjam: nan
             except ValueError:  # a warning
                 continue
             if len(row) == len(names):
@@ -285,7 +286,7 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
 
 
 def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> str:
-    """Return the commands up to the forces: damping ``normal``, and ``ratio`` times as much tangentially."""
+    """Return the commands up to the forces: damping ``normal``, and ``ratio`` times this for tangential damping."""
     pairs = [
         f"pair_coeff {a} {b} hooke {potential.spring_constant(ra + rb)} {normal} damping velocity "
         f"tangential linear_nohistory {ratio} 1.0e30"
@@ -295,7 +296,7 @@ def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> s
 
 
 def _data(state: State, rolls: bool) -> str:
-    """Return LAMMPS's data file of disks inside the cell; without spins, unless they roll."""
+    """Return LAMMPS's data file of disks inside the cell; with spins only if the model has rotations."""
     sizes, types = np.unique(state.radii, return_inverse=True)
     L, tilt = state.length, float(state.box.cell[1, 0])
     atoms = np.column_stack([types + 1, 2 * state.radii, state.positions])

@@ -1,4 +1,4 @@
-"""What the readers of others' packings share: what was asked for, lines of text, and the checks on columns.
+"""Common parts of the readers of packings of other programs: arguments, lines of text, and checks of columns.
 
 Axes: i disk.
 """
@@ -16,14 +16,14 @@ from petscjam.base.arguments import parsed
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array, Integers
 
-FLAT = 1e-6  # z may vary by as much, in units of the smallest radius
-ALIKE = 1e-5  # radii and half the diameters may differ by as much, relatively: text of six digits
-DIGITS = 15  # that double precision holds
+FLAT = 1e-6  # largest variation of z, in units of the smallest radius
+ALIKE = 1e-5  # largest relative difference of radii and half diameters: text of six digits
+DIGITS = 15  # of double precision
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which packing of a file is wanted, and what the file may not say.
+    """Which packing of a file is wanted, and information that the file may lack.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Wanted:
     diameters: Mapping[str, float] | None = None
 
     def one_of(self, count: int) -> int:
-        """Return the index, where a file holds ``count`` packings."""
+        """Return the index in a file with ``count`` packings."""
         if not 0 <= self.index < count:
             raise InputError(f"there is no packing {self.index}; the file holds {count}, counted from 0")
         return self.index
@@ -60,7 +60,7 @@ class Wanted:
         known = sorted(set(types))
         if self.diameters is None:
             raise InputError(
-                "there is no radius and no diameter; say that of each type, in the length unit of the file: "
+                "there is no radius and no diameter; give the diameter of each type, in the length unit of the file: "
                 f"--diameters {','.join(f'{name}:…' for name in known)}"
             )
         for name in sorted(set(known) ^ set(self.diameters)):
@@ -85,7 +85,7 @@ class Text:
         return self.lines[n].partition("#")[0].replace(",", " ").split()
 
     def rows(self, first: int, end: int) -> list[int]:
-        """Return which lines from ``first`` until before ``end`` are neither blank nor comments."""
+        """Return the lines from ``first`` to before ``end`` that are neither blank nor comments."""
         return [n for n in range(first, end) if self.words(n)]
 
     def table(self, rows: Sequence[int], width: int, columns: Sequence[int]) -> Array:
@@ -99,15 +99,15 @@ class Text:
         return np.reshape(table, (len(table), len(columns)))
 
     def check_end(self, rows: Sequence[int]) -> None:
-        """Refuse ``rows`` of which the file ends within the last: it may have lost digits."""
+        """Refuse ``rows`` if the file ends within the last one: it may have lost digits."""
         if len(rows) and rows[-1] == len(self.lines) - 1 and not self.ended:
             raise InputError(
                 f"line {rows[-1] + 1}: the file ends within this line, so digits may be lost; "
-                "if none are, put an end to the line"
+                "if none are, add the end of the line"
             )
 
     def precision(self, rows: Sequence[int], columns: Sequence[int]) -> dict[str, str]:
-        """Return how many digits numbers have, for the provenance, if fewer than double precision holds."""
+        """Return the number of digits, for the provenance, if it is smaller than in double precision."""
         words = (self.words(n)[k] for n in rows[:100] for k in columns)
         digits = max((len(digits_of(word)) for word in words), default=DIGITS)
         return {} if digits >= DIGITS else {"precision": f"{digits} digits"}
@@ -127,14 +127,14 @@ def numbers(words: Sequence[str], n: int) -> list[float]:
 
 
 def check_once(names: Sequence[str], n: int, what: str) -> None:
-    """Refuse ``names`` on line ``n`` of which one stands there twice."""
+    """Refuse ``names`` on line ``n`` if one of them is there twice."""
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"line {n + 1}: the {what} {name} stands there twice")
+            raise InputError(f"line {n + 1}: the {what} {name} is there twice")
 
 
 def check_plane(z: Array, radii: Array) -> None:
-    """Refuse ``z`` that vary by more than a rounding."""
+    """Refuse ``z`` that vary by more than rounding."""
     if z.size and np.ptp(z) > FLAT * abs(radii).min(initial=np.inf):
         raise InputError(f"not in the plane: z runs from {z.min():g} to {z.max():g}")
 

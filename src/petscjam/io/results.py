@@ -1,4 +1,4 @@
-"""Results in HDF5: one group a packing, added one by one, so that a killed run can go on."""
+"""Results in HDF5: one group for each packing, added one by one, so that a killed run can be resumed."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def group_name(packing: Packing, name: str) -> str:
 def append_result(
     result: Any, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = "", made_with: str = ""
 ) -> None:
-    """Add ``result``, of one of the ``KINDS``, to ``file`` as ``group``; the file is whole at every moment.
+    """Add ``result``, of one of the ``KINDS``, to ``file`` as ``group``; the file is complete at every moment.
 
-    With ``fresh`` it replaces whatever the file held. ``run`` tells who wrote last, ``made_with`` how
-    the result was made.
+    With ``fresh`` it replaces the content of the file. ``run`` identifies the last writer, ``made_with`` the
+    settings of the result.
 
     Raises
     ------
     InputError
-        If the file cannot be read or written, or holds results of another kind.
+        If the file cannot be read or written, or contains results of another kind.
     """
     kind = PREFIX + kind_of(type(result))
     with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
@@ -64,7 +64,7 @@ def append_result(
 
 
 def run_of(file: str | PathLike[str]) -> str | None:
-    """Return which run wrote last to ``file``; None if that is not known."""
+    """Return the run that wrote last to ``file``; None if it is unknown."""
     with suppress(InputError), open_h5(file) as h5:
         return h5.attrs.get("run")
     return None
@@ -90,7 +90,7 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
 
 
 class Item(NamedTuple):
-    """What a result was made of and with; ``made_with`` is empty for moduli."""
+    """Packing and settings of a result; ``made_with`` is empty for moduli."""
 
     name: str
     made_with: str
@@ -100,7 +100,7 @@ class Item(NamedTuple):
 
 
 def inventory(file: str | PathLike[str]) -> list[Item]:
-    """Return what each result of ``file`` was made of, without reading it.
+    """Return packing and settings of each result of ``file``, without reading the result.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
 def read_moduli(file: str | PathLike[str]) -> dict[str, ComplexModulus]:
     """Return every result of ``file`` by the name of its group.
 
-    A file of :func:`write_spectrum` gives one, ten frequencies a decade.
+    A file of :func:`write_spectrum` gives one, with ten frequencies per decade.
 
     Raises
     ------
@@ -152,21 +152,21 @@ def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
 def done(
     file: str | PathLike[str], laws: Iterable[Mapping[str, Any]], omega: Array, kept: Array, rtol: float | None
 ) -> set[tuple[str, str, bool]]:
-    """Return checksum, damping and pre-stress of what ``file`` holds, if it was made with these settings.
+    """Return checksum, damping and pre-stress of the results in ``file``, if they were made with these settings.
 
     Parameters
     ----------
     laws : iterable of mappings
-        Strain, damping and pre-stress that this run would use.
+        Strain, damping and pre-stress of this run.
     omega, kept : arrays
-        Frequencies, and those at which fields are kept.
+        Frequencies, and those at which displacements are stored.
     rtol : float or None
-        Of the reduced model; None if each frequency is solved for.
+        Of the reduced model; None for direct solves.
 
     Raises
     ------
     InputError
-        If it was made with others.
+        If they were made with other settings.
     """
     laws, there = list(laws), set()
     for name, g in read_moduli(file).items():
@@ -190,7 +190,7 @@ def done(
 
 
 def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a reduced model: a small file, unless it carries its motions.
+    """Write a reduced model: a small file, unless the model has displacements.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
             return _read_model(h5)
     model = read_modulus(file).model
     if model is None:
-        raise InputError(f"{file}: was made with one solve a frequency; it holds no reduced model")
+        raise InputError(f"{file}: was made with one solve for each frequency; it holds no reduced model")
     return model
 
 
@@ -257,7 +257,7 @@ def _write(node: Any, name: str, value: Any, unit: str | None = None) -> None:
 
 def _read_model(node: Any) -> Spectrum:
     values = _values(node, Spectrum)
-    if "rounding_only" not in node.attrs:  # an older file: where the residual was rounding, it bounds no error
+    if "rounding_only" not in node.attrs:  # an older file: it has no error bound if the residual is a rounding error
         values["rounding_only"] = False
         values["definite"] &= bool(values["gains"].any() or values["estimate"])
     pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
@@ -326,7 +326,7 @@ def _origin(node: Any) -> Origin:
 
 
 def _law(said: Any) -> DampingLaw:
-    """Return the law of a group, or of a text that older files of moduli have."""
+    """Return the law of a group, or of the text in older files of moduli."""
     if isinstance(said, str):
         name, _, rest = said.rstrip(")").partition(" (")
         settings = {key: literal_eval(value) for key, value in (pair.split("=") for pair in rest.split(", ") if pair)}

@@ -1,7 +1,7 @@
-"""G*(ω) and G(t) as text for rheologists' programs. A new format is one entry of :data:`FORMATS`.
+"""G*(ω) and G(t) as text for programs of rheology. A new format is one entry of :data:`FORMATS`.
 
 ``tts`` and ``gt`` are RepTate's: a line of ``key=value;`` pairs, lines of comment, the names of the columns,
-the columns. It calls their units rad/s, s and Pa; here they are 1/τ1, τ1 and the stress of the potential.
+the columns. RepTate calls the units rad/s, s and Pa; here they are 1/τ1, τ1 and the unit of stress of the potential.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ def export_rheology(
     Parameters
     ----------
     model_or_modulus : Spectrum or ComplexModulus
-        A modulus keeps its own frequencies unless it has a model and ``omegas`` are given.
+        A modulus is written at its own frequencies, unless it has a model and ``omegas`` are given.
     path : path
     fmt : str
-        ``tts``: ω, G′, G″ for RepTate. ``gt``: t, G(t) for RepTate. ``csv``: ω, G′, G″ and, where they are
-        known, the bounds on |ΔG′|/|G′| and |ΔG″|/|G″|.
+        ``tts``: ω, G′, G″ for RepTate. ``gt``: t, G(t) for RepTate. ``csv``: ω, G′, G″ and, if they are known,
+        the bounds on |ΔG′|/|G′| and |ΔG″|/|G″|.
     omegas : (W,) array_like
-        Angular frequencies, 1/τ1. Left out: 10 a decade over the span of the model.
+        Angular frequencies, 1/τ1. Default: 10 per decade over the span of the model.
     times : (T,) array_like
-        Times ≥ 0, τ1. Left out: 10 a decade from the inverse of the highest frequency of the span to that of
-        the lowest.
+        Times ≥ 0, τ1. Default: 10 per decade from the inverse of the highest frequency of the span to that of the
+        lowest.
     overwrite : bool
 
     Raises
     ------
     InputError
-        If the format is unknown or not that of the ending of ``path``, frequencies or times are bad or not
-        for this format, there is no reduced model where one is needed, or ``path`` exists (unless
+        If the format is unknown or not that of the extension of ``path``, frequencies or times are invalid or not
+        used by this format, the format needs a reduced model and there is none, or ``path`` exists (unless
         ``overwrite``) or cannot be written.
     """
     if format_of(path, fmt, fmt) not in FORMATS:
@@ -80,17 +80,17 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
     model = _model(source, "G(t)")
     first, last = 1 / model.span[1], 1 / model.span[0]
     t = per_decade(PER_DECADE, first, last) if times is None else _times(times)
-    plateau = model.own_limits()[1][:, 0] < PLATEAU  # then G(t) stays what it is at the end of the span
+    plateau = model.own_limits()[1][:, 0] < PLATEAU  # then G(t) is constant from the end of the span on
     outside = (t < (0.0 if plateau[1] else first * (1 - 1e-9))) | (t > (np.inf if plateau[0] else last * (1 + 1e-9)))
     if outside.any():
-        raise InputError(f"times: {t[outside][0]:g} is outside what the model knows, {first:g} to {last:g}")
+        raise InputError(f"times: {t[outside][0]:g} is outside the range of the model, {first:g} to {last:g}")
     lines = [_parameters(model, Mw=0, gamma=1), _setting(model), f"# times in tau1, {_moduli(model)}"]
-    impulse = f"# at the step itself comes {model.eta_inf} delta(t) besides"
+    impulse = f"# in addition there is {model.eta_inf} delta(t) at the step itself"
     return _text([*lines, impulse, "t\tGt"], [t, model.G(t)], "\t")
 
 
 def csv(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
-    """Return ω, G′, G″ and, where they are known, their errors, separated by commas; # starts a comment."""
+    """Return ω, G′, G″ and, if they are known, their errors, separated by commas; # starts a comment."""
     modulus = _sampled(source, omegas)
     names = ["omega", "G_storage", "G_loss"]
     columns = [modulus.omega, modulus.values.real, modulus.values.imag]
@@ -107,7 +107,7 @@ def csv(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> b
 def _model(source: Spectrum | ComplexModulus, what: str) -> Spectrum:
     model = source.model if isinstance(source, ComplexModulus) else source
     if model is None:
-        raise InputError(f"{what} needs a reduced model; this modulus was solved for at each frequency")
+        raise InputError(f"{what} needs a reduced model; this modulus was made by direct solves")
     return model
 
 

@@ -1,4 +1,4 @@
-"""Extended XYZ, as its specification (github.com/libAtoms/extxyz), OVITO and ASE have it, in the plane."""
+"""Extended XYZ, by its specification (github.com/libAtoms/extxyz) and as in OVITO and ASE, in two dimensions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ENTRY = re.compile(  # key = value; the value in quotes, in brackets or bare
 def read_xyz(path: Path, wanted: Wanted) -> Packing:
     """Read extended XYZ with a column ``radius``, ``diameter``, ``species`` or ``type``, and ``potential=…``.
 
-    What else the comment line says is the ``header`` of the provenance.
+    The rest of the comment line is the ``header`` of the provenance.
     """
     text = Text(path)
     starts = _frames(text)
@@ -70,13 +70,13 @@ def read_xyz(path: Path, wanted: Wanted) -> Packing:
     if checksum not in (None, packing.checksum):
         raise InputError(
             f"the checksum is {packing.checksum}, but {checksum} on line {n + 1}: the file was cut or "
-            "changed; if on purpose, take source_checksum out of that line"
+            "changed; if on purpose, remove source_checksum from that line"
         )
     return packing
 
 
 def _frames(text: Text) -> list[int]:
-    """Return the line of each frame that states the number of its disks."""
+    """Return the line of each frame with the number of its disks."""
     starts, n = [], 0
     while n < len(text.lines):
         if text.lines[n]:
@@ -93,12 +93,12 @@ def _frames(text: Text) -> list[int]:
 
 
 def _entries(line: str, n: int) -> dict[str, str]:
-    """Return what the comment line says by key; one key with two values is refused."""
+    """Return the values of the comment line by key; one key with two values is refused."""
     entries: dict[str, str] = {}
     for key, value in ENTRY.findall(line):
         key, value = (_bare(word) for word in (key, value))
         if entries.setdefault(key, value) != value:
-            raise InputError(f"line {n + 1}: {key} stands there twice, with two values")
+            raise InputError(f"line {n + 1}: {key} is there twice, with two values")
     return entries
 
 
@@ -109,7 +109,7 @@ def _bare(word: str) -> str:
 
 
 def _columns(properties: str, n: int) -> tuple[dict[str, list[int]], int]:
-    """Return the columns of each name:type:size, and how many there are."""
+    """Return the columns of each name:type:size, and the number of columns."""
     fields = properties.split(":")
     if len(fields) % 3:
         raise InputError(f"line {n + 1}: Properties must be name:type:size:…, not {properties!r}")
