@@ -130,7 +130,7 @@ def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
 
 
 def h5md(packing: Packing) -> bytes:
-    """petscjam's own file, which MDAnalysis can read (:mod:`petscjam.geometry.packing_file`)."""
+    """Petscjam's own file, which MDAnalysis can read (:mod:`petscjam.geometry.packing_file`)."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "packing.h5")
         packing.write(path)
