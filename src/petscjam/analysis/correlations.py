@@ -13,7 +13,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.parallel.comm import agree, resolve
+from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.parallel.memory import require
 from petscjam.response.origin import Judged, Verb, frequencies, stored
 from petscjam.response.reduced import spectrum
@@ -119,7 +119,7 @@ def correlations(
     *,
     damping: DampingLaw | None = None,
     prestress: bool = True,
-    comm: Any = None,
+    comm: Comm | None = None,
     width: float | None = None,
     bin: float | None = None,
     rtol: float = 1e-8,
@@ -337,7 +337,7 @@ class _Lanes(NamedTuple):
         lane = np.floor(across % 1 * lanes).astype(np.int64) % lanes
         return cls(L, (lanes, bins), lane, np.floor(along / L * bins).astype(np.int64) % bins)
 
-    def require_memory(self, comm: Any = None) -> None:
+    def require_memory(self, comm: Comm | None = None) -> None:
         """Refuse more lanes and bins than there is memory for."""
         lanes, bins = self.shape
         require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins", comm)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
@@ -82,7 +81,7 @@ class QuasistaticResponse(Judged):
 
     def sizes(self, motion: str) -> Array:
         """Return |Δu∥| or |Δu⊥| of every contact or |u_na| of every disk: one of ``MOTIONS``."""
-        values: NDArray = getattr(self, motion)
+        values: Array = getattr(self, motion)
         return np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
 
 

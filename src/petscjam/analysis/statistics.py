@@ -18,7 +18,7 @@ from petscjam.response.origin import Result, frequencies
 from petscjam.response.result import ComplexModulus
 
 R = TypeVar("R", bound=Result)
-K = TypeVar("K", float, tuple)
+K = TypeVar("K", float, tuple[Any, ...])
 
 
 def deviation(samples: ArrayLike) -> Any:

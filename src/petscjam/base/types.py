@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,8 +28,8 @@ def per_decade(points: int, low: float, high: float) -> Array:
     return np.geomspace(low, high, 1 + int(np.ceil(points * (np.log10(high) - np.log10(low)))))
 
 
-def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray:
+def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     """Return a read-only copy of ``values``."""
-    array: NDArray = np.array(values, dtype=dtype)
+    array: NDArray[Any] = np.array(values, dtype=dtype)
     array.flags.writeable = False
     return array

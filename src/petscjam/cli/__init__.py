@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
-from typing import Any
+from typing import TYPE_CHECKING
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, listening

@@ -11,7 +11,7 @@ from typing import Any
 from petscjam.base.errors import InputError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import analysed, finish, say
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import Comm, on_root
 from petscjam.rows.damping import DampingLaw
 
 
@@ -57,7 +57,7 @@ def figure(options: argparse.Namespace, comm: Any) -> None:
 
 def _analyse(
     options: argparse.Namespace,
-    comm: Any,
+    comm: Comm,
     function: Callable[..., Any],
     settings: Mapping[str, Any],
     laws: Sequence[DampingLaw | None] = (None,),

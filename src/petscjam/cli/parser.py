@@ -35,10 +35,14 @@ from petscjam.figures import FIGURES
 from petscjam.geometry.potential import POTENTIALS
 from petscjam.io.kinds import KINDS, class_of
 from petscjam.md.model import BULK, INTEGRATORS, MODELS
-from petscjam.preparation.prepare import BUDGET, METHODS
+from petscjam.parallel.comm import Comm
+from petscjam.preparation.minimise import METHODS
+from petscjam.preparation.prepare import BUDGET
 from petscjam.response.origin import Verb
 from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
+
+Work = Callable[[argparse.Namespace, Comm], None]
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -548,7 +552,7 @@ def team_size(p: Parser) -> None:
     )
 
 
-def add(known: Any, verb: str, work: Callable, text: str, epilog: str = "") -> Parser:
+def add(known: argparse._SubParsersAction[Parser], verb: str, work: Work, text: str, epilog: str = "") -> Parser:
     """Add a verb whose options are known by name to :func:`misspelt`."""
     parser = known.add_parser(verb, help=text, description=text, epilog=epilog.format(verb=verb))
     parser.set_defaults(work=work, known=parser._option_string_actions.keys())

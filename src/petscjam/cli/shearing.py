@@ -11,7 +11,7 @@ from typing import Any
 from petscjam.base.errors import DoubtfulWarning, InputError, SolverError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import say
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import Comm, on_root
 
 
 def shear(options: argparse.Namespace, comm: Any) -> None:
@@ -46,7 +46,7 @@ def ramp(options: argparse.Namespace, comm: Any) -> None:
     _work(options, comm, protocol, options.rate or [1e-6])
 
 
-def _work(options: argparse.Namespace, comm: Any, protocol: Any, rates: list[float]) -> None:
+def _work(options: argparse.Namespace, comm: Comm, protocol: Any, rates: list[float]) -> None:
     from petscjam.base.progress import progress
     from petscjam.md.grid import grid, run_grid
     from petscjam.md.runs import run

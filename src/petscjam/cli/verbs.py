@@ -15,16 +15,16 @@ from typing import Any
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.files import naming
 from petscjam.cli.laws import chosen_laws
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import Comm, on_root
 
 
-def say(comm: Any, text: str) -> None:
+def say(comm: Comm, text: str) -> None:
     """Print on rank 0."""
     if comm.rank == 0:
         print(text, flush=True)
 
 
-def prepare(options: argparse.Namespace, comm: Any) -> None:
+def prepare(options: argparse.Namespace, comm: Comm) -> None:
     """Prepare one packing, or a library of several."""
     from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
@@ -74,7 +74,7 @@ def prepare(options: argparse.Namespace, comm: Any) -> None:
         raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{lines}")
 
 
-def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Any) -> None:
+def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Comm) -> None:
     from petscjam.base.files import check_output
     from petscjam.base.progress import progress
     from petscjam.geometry.packing import Packing
@@ -193,7 +193,7 @@ def _judged(packing: Any, file: Path) -> Any:
     return packing
 
 
-def export(options: argparse.Namespace, comm: Any) -> None:
+def export(options: argparse.Namespace, comm: Comm) -> None:
     """Export a packing, a sheared run, or a result for rheologists."""
     writers = {"packing": _export_packing, "run": _export_run, "results": _export_results}
 
@@ -445,7 +445,7 @@ def analysed(options: argparse.Namespace, comm: Any, analysis: Any, laws: Sequen
     return failures
 
 
-def plot(options: argparse.Namespace, comm: Any) -> None:
+def plot(options: argparse.Namespace, comm: Comm) -> None:
     """Draw a result, a packing or a folder of packings."""
 
     def work() -> None:

@@ -18,7 +18,7 @@ from petscjam.base.errors import InputError
 from petscjam.base.files import check_output, naming, write_atomically
 from petscjam.base.progress import Report
 from petscjam.parallel.claims import claimed, made_folder
-from petscjam.parallel.comm import agree, on_root
+from petscjam.parallel.comm import Comm, agree, on_root
 
 if TYPE_CHECKING:
     from petscjam.figures.page import Finding
@@ -120,7 +120,7 @@ class Request:
 
 
 def make_figure(
-    request: Request, *, comm: Any, progress: Report | None = None, log: Callable[[str], None] = print
+    request: Request, *, comm: Comm, progress: Report | None = None, log: Callable[[str], None] = print
 ) -> list[Finding]:
     """Draw a figure: NAME.png, NAME.md with what was found, NAME*.h5 with the results. Collective.
 

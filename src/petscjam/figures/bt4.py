@@ -74,12 +74,12 @@ def _draw_undamped(page: Page, panels: Any, results: Mapping[str, Any]) -> None:
                     mean = np.mean([g.values for g in some], axis=0) * y
                     axes.loglog(some[0].omega, mean.real, "-", color=colour(x), lw=1.5)
                     axes.loglog(some[0].omega, mean.imag, "--", color=colour(x), lw=1.5)
-        for name, values, paper in (
-            ("G0 ~ p^μ", lambda g: g.G0, "1/2"),
-            ("η0 ~ p^x", lambda g: g.eta0, "1/2"),
-            ("G∞ ~ p^x", lambda g: g.G_inf, "1/2"),
+        for name, limit, paper in (
+            ("G0 ~ p^μ", "G0", "1/2"),
+            ("η0 ~ p^x", "eta0", "1/2"),
+            ("G∞ ~ p^x", "G_inf", "1/2"),
         ):
-            samples = [[values(g) for g in some] for some in groups.values()]
+            samples = [[getattr(g, limit) for g in some] for some in groups.values()]
             page.exponent(f"β = 0, {name}, {how}", p, samples, paper)
     panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  (units of $k$)")
     panels[0].set_title("(a) β = 0: with pre-stress (symbols), without (lines)", fontsize=10)
@@ -128,8 +128,8 @@ def _draw_centres(page: Page, axes: Any, results: Mapping[str, Any]) -> None:
         draw_mean(axes, some, colour(x), f"p = {x:.2g}", x=1 / x, y=x**-0.5, most=0.05)
     guide(axes, (30, 1e3), 0.5, 0.5, "slope ½")
     p = np.array(list(groups))
-    for name, values, paper in (("G0 ~ p^μ", lambda g: g.G0, "1/2"), ("η0 ~ p^(μ−λ)", lambda g: g.eta0, "−1/2")):
-        samples = [[values(g) for g in some] for some in groups.values()]
+    for name, limit, paper in (("G0 ~ p^μ", "G0", "1/2"), ("η0 ~ p^(μ−λ)", "eta0", "−1/2")):
+        samples = [[getattr(g, limit) for g in some] for some in groups.values()]
         page.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
     axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
     axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse", fontsize=10)

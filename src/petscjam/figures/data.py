@@ -13,7 +13,7 @@ from petscjam.figures.page import Page
 from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import Analysis, Ensemble, analyse
 from petscjam.io.results import read_results
-from petscjam.parallel.comm import on_root
+from petscjam.parallel.comm import Comm, on_root
 from petscjam.plots.figure import given
 from petscjam.preparation.library import prepare_library, read_library
 from petscjam.rows.damping import DampingLaw
@@ -42,7 +42,7 @@ class FigureData:
 
     parameters: Parameters
     folder: Path
-    comm: Any
+    comm: Comm
     overwrite: bool = False
     existing: bool = False
     progress: Report | None = None

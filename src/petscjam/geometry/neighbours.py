@@ -11,16 +11,18 @@ Axes: i, j disks of pair c, a disk, x Cartesian, l lattice vector.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.compiled import njit
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.box import Box
 from petscjam.parallel.memory import available_memory
+
+Indices = NDArray[np.uint32]
 
 CHUNK = 4096  # disks
 BYTES = 150  # of memory for each pair, at the peak of ContactNetwork.of
@@ -128,7 +130,7 @@ class Grids(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _classes(radii):
+def _classes(radii: Array) -> tuple[Integers, Integers, Array]:
     """Return the class of each disk, by octaves of its radius, and the number and largest radius of each."""
     smallest, widest = np.inf, 0.0
     for radius in radii:
@@ -151,7 +153,7 @@ def _classes(radii):
 
 
 @njit(cache=True, error_model="numpy")
-def _grids(x, lattice, inverse, width, radii, skin):
+def _grids(x: Array, lattice: Array, inverse: Array, width: Array, radii: Array, skin: float) -> Grids:
     """Sort the disks into the bins of their classes."""
     n = len(x)
     kind, count, largest = _classes(radii)
@@ -189,7 +191,18 @@ def _grids(x, lattice, inverse, width, radii, skin):
 
 
 @njit(cache=True, error_model="numpy")
-def _list(a, g, lattice, width, skin, inside, across, images, m, rest):
+def _list(
+    a: int,
+    g: Grids,
+    lattice: Array,
+    width: Array,
+    skin: float,
+    inside: Indices,
+    across: Indices,
+    images: Integers,
+    m: int,
+    rest: int,
+) -> tuple[int, int, int]:
     """Add the pairs of disks from ``a`` on to the ``m`` inside chunks and to the others, ``rest``.
 
     Return the disk at which the arrays are full (N: not full), and both numbers before this disk. If the arrays
@@ -239,7 +252,7 @@ def _list(a, g, lattice, width, skin, inside, across, images, m, rest):
 
 
 @njit(cache=True, error_model="numpy")
-def _longer(old, used):
+def _longer(old: NDArray[Any], used: int) -> NDArray[Any]:
     """Return an array with the ``used`` rows of ``old`` and twice its length."""
     new = np.empty((2 * len(old), old.shape[1]), old.dtype)
     for k in range(used):
@@ -249,7 +262,7 @@ def _longer(old, used):
 
 
 @njit(cache=True, error_model="numpy")
-def find(x, lattice, radii, skin):
+def find(x: Array, lattice: Array, radii: Array, skin: float) -> tuple[Indices, Indices, Integers, Integers]:
     """List the pairs with r ≤ ρi + ρj + ``skin``, each once, the first disk not of a larger class.
 
     Disks are cut into chunks of CHUNK. Pairs inside a chunk that need no image come first, then the others, both

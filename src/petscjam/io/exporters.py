@@ -115,7 +115,7 @@ def gsd(packing: Packing) -> bytes:
         return path.read_bytes()
 
 
-def _inside(x: NDArray, y: NDArray, xy: Any, L: Any) -> NDArray:
+def _inside(x: NDArray[Any], y: NDArray[Any], xy: Any, L: Any) -> NDArray[Any]:
     """Return ``x`` (N,) of single precision with −L/2 ≤ x − xy·y < L/2, computed in single and in double.
 
     The cast may put a disk on the upper edge; then it is rounded towards the centre.

@@ -23,7 +23,7 @@ from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
 from petscjam.io.results import append_result, done, group_name, inventory, run_of
 from petscjam.parallel.claims import claimed, turn
-from petscjam.parallel.comm import agree, on_root
+from petscjam.parallel.comm import Comm, agree, on_root
 from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, deal
 from petscjam.response.family import LARGEST_BETA, beta_family
@@ -307,7 +307,7 @@ def analyse(
     ensemble: Ensemble,
     analysis: Analysis,
     *,
-    comm: Any,
+    comm: Comm,
     progress: Report | None = None,
     log: Callable[[str], None] = print,
 ) -> tuple[int, list[str]]:

@@ -287,11 +287,11 @@ def _check(where: str, kind: type[Result], values: Mapping[str, Any]) -> None:
     check_shapes(where, {name: text for name, text in axes.items() if text}, values)
 
 
-def _may_be_none(item: Field) -> bool:
+def _may_be_none(item: Field[Any]) -> bool:
     return "None" in str(item.type)
 
 
-def _value(node: Any, item: Field) -> Any:
+def _value(node: Any, item: Field[Any]) -> Any:
     if item.name == "origin":
         return _origin(node)
     if item.name not in node:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 from petscjam.base.errors import InputError
 from petscjam.base.interrupt import deferred
@@ -15,7 +14,7 @@ from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_RUNS
 from petscjam.md.result import Run
 from petscjam.parallel.claims import claimed, made_folder
-from petscjam.parallel.comm import agree, on_root
+from petscjam.parallel.comm import Comm, agree, on_root
 from petscjam.parallel.teams import Team, deal
 from petscjam.rows.damping import DampingLaw
 
@@ -81,7 +80,7 @@ def run_grid(
     folder: Path,
     work: Callable[..., Run],
     *,
-    comm: Any,
+    comm: Comm,
     resume: bool = False,
     overwrite: bool = False,
     progress: Report | None = None,

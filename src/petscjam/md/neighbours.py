@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.compiled import njit
-from petscjam.base.types import Array
+from petscjam.base.types import Array, Integers
 from petscjam.geometry.neighbours import find
 
 
@@ -54,7 +54,7 @@ class Pairs(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def wrap(q, L, strain, rate):
+def wrap(q: Array, L: float, strain: float, rate: float) -> None:
     """Move every disk of q (N, ≥ 3) to its image in the square, with the velocity of that image."""
     for a in range(len(q)):
         row = np.floor(q[a, 1] / L)
@@ -70,7 +70,7 @@ def wrap(q, L, strain, rate):
 
 
 @njit(cache=True, error_model="numpy")
-def order_in_space(q, L):
+def order_in_space(q: Array, L: float) -> Integers:
     """Return the stable order of disks by square bins, one for each disk, row by row."""
     n = len(q)
     across = max(int(np.sqrt(n)), 1)
@@ -88,7 +88,7 @@ def order_in_space(q, L):
 
 
 @njit(cache=True, error_model="numpy")
-def list_pairs(x, R, L, strain, skin):
+def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pairs:
     """List the pairs of disks at ``x``, sorted and in the square, closer than Ri + Rj + ``skin``."""
     turns = np.rint(strain)
     lattice = np.zeros((2, 2))
@@ -106,7 +106,7 @@ def list_pairs(x, R, L, strain, skin):
 
 
 @njit(cache=True)
-def open_contacts(pairs, tag):
+def open_contacts(pairs: Pairs, tag: Integers) -> Integers:
     """Return the disks, by tag, of the pairs that touch, and since when, (C, 3)."""
     found = np.empty((len(pairs.i), 3), np.int64)
     n = 0
@@ -119,7 +119,7 @@ def open_contacts(pairs, tag):
 
 
 @njit(cache=True)
-def mark(pairs, tag, contacts):
+def mark(pairs: Pairs, tag: Integers, contacts: Integers) -> int:
     """Mark ``contacts`` of :func:`open_contacts` in a new list; return how many are not in it."""
     n = len(tag)
     place = np.empty(n, np.int64)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, shown
 from petscjam.base.files import check_output, check_shapes, check_type, group, h5_format, open_h5, write_atomically
@@ -143,7 +143,7 @@ class Run:
         """Rv = ⟨δvx²⟩/⟨vy²⟩ (VOT eq. 37), (K,)."""
         return self.rows["dvx2"] / self.rows["vy2"]
 
-    def after(self, strain: float | None = None) -> np.ndarray:
+    def after(self, strain: float | None = None) -> NDArray[np.bool_]:
         """Return which rows lie beyond ``strain`` from the start, (K,) bool; left out, 1/4 of the run."""
         elapsed = np.diff(self.time, prepend=self.settings.time0)
         done = np.cumsum(np.abs(self.rate) * elapsed)

@@ -15,7 +15,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted
 
 if TYPE_CHECKING:
-    from mpi4py.MPI import Comm
+    from mpi4py.MPI import Comm as Comm
 else:
     Comm = Any  # importing mpi4py starts MPI
 

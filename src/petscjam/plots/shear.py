@@ -376,7 +376,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
             raise InputError(f"plot: {name} is no steady run, but a {run.settings.protocol}")
     x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
     others = [key for key in ("model", "potential", "particles", "phi", "Q", "rate") if key != x]
-    curves: dict[tuple, dict[float, list[Run]]] = {}
+    curves: dict[tuple[Any, ...], dict[float, list[Run]]] = {}
     for run in runs.values():
         kind = tuple(_setting(run, key) for key in others)
         curves.setdefault(kind, {}).setdefault(_setting(run, x), []).append(run)

@@ -90,7 +90,7 @@ def describe_library(library: Library) -> str:
         f"{'N':>7} {'p (k)':>10} {'made':>5} {'proved':>6} {'failed':>6} {'phi':>20} {'Z':>7} "
         f"{'rattlers':>8} {'unstable':>8} {'lowest eigenvalue (k)':>21} {'time (s)':>9}",
     ]
-    groups: dict[tuple[int, float], tuple[list, list]] = {}
+    groups: dict[tuple[int, float], tuple[list[Any], list[Any]]] = {}
     for k, row in enumerate([*rows, *failed]):
         target = row["target"] or nominal(row["pressure"])
         groups.setdefault((row["particles"], target), ([], []))[k >= len(rows)].append(row)

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from petscjam.base.types import Array
+
 
 class Contact(NamedTuple):
     """Disk i, the image of disk j that it touches, and what they do to each other.
@@ -22,10 +24,10 @@ class Contact(NamedTuple):
 
     i: int
     j: int
-    r: np.ndarray
-    v: np.ndarray
-    elastic: np.ndarray
-    dissipative: np.ndarray
+    r: Array
+    v: Array
+    elastic: Array
+    dissipative: Array
     torque_i: float
     torque_j: float
     heat: float
