@@ -85,6 +85,13 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
 def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()) -> None:
     """Refuse a ``path`` that cannot be written at the end of the computation, or must not be written.
 
+    Parameters
+    ----------
+    path : str or PathLike
+    overwrite : bool
+    inputs : iterable of paths
+        Files that the work reads.
+
     Raises
     ------
     InputError
@@ -131,6 +138,11 @@ def write_atomically(path: str | PathLike[str], data: bytes) -> None:
     """Replace the file at ``path`` by ``data``, completely or not at all; its permissions stay.
 
     If it has other names (hard links), it is overwritten in place, while a complete copy exists in the same folder.
+
+    Parameters
+    ----------
+    path : str or PathLike
+    data : bytes
 
     Raises
     ------
@@ -245,6 +257,14 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
 
 def check_type(name: str, value: Any, annotation: str) -> None:
     """Refuse a ``value`` of another type than the annotation of a dataclass; None and unknown types are accepted.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the message.
+    value : object
+    annotation : str
+        Type of the field, a key of ``TYPES``, with or without ``| None``.
 
     Raises
     ------

@@ -12,7 +12,16 @@ LINE_EVERY = 10.0  # seconds between lines of a log
 
 
 def part(report: Report, k: int, n: int, label: str = "") -> Report:
-    """Return the report of the k-th of ``n`` equal parts."""
+    """Return the report of the k-th of ``n`` equal parts.
+
+    Parameters
+    ----------
+    report : Report
+    k, n : int
+        0 ≤ k < n.
+    label : str
+        Stands before the text.
+    """
     return lambda fraction, text: report((k + fraction) / n, label + text)
 
 

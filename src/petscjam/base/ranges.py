@@ -35,6 +35,12 @@ class Range:
     def check(self, what: str, value: object) -> None:
         """Refuse a ``value`` outside the range.
 
+        Parameters
+        ----------
+        what : str
+            Name of the argument.
+        value : object
+
         Raises
         ------
         InputError

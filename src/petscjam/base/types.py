@@ -29,7 +29,13 @@ def per_decade(points: int, low: float, high: float) -> Array:
 
 
 def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
-    """Return a read-only copy of ``values``."""
+    """Return a read-only copy of ``values``.
+
+    Parameters
+    ----------
+    values : array_like
+    dtype : type
+    """
     array: NDArray[Any] = np.array(values, dtype=dtype)
     array.flags.writeable = False
     return array

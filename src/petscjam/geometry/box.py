@@ -49,7 +49,14 @@ class Box:
 
     @classmethod
     def filled(cls, radii: Array, phi: float) -> Box:
-        """Return the square cell in which disks of ``radii`` (N,) have the packing fraction ``phi``."""
+        """Return the square cell in which disks have the packing fraction ``phi``.
+
+        Parameters
+        ----------
+        radii : (N,)
+        phi : float
+            Σ πρ²/V.
+        """
         return cls.square(float(np.sqrt(np.pi * (radii**2).sum() / phi)))
 
     @property

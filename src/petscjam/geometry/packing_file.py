@@ -67,6 +67,12 @@ class Stored(NamedTuple):
 def write(path: str | PathLike[str], stored: Stored, *, overwrite: bool = False) -> None:
     """Write a packing to ``path``, completely or not at all.
 
+    Parameters
+    ----------
+    path : str or PathLike
+    stored : Stored
+    overwrite : bool
+
     Raises
     ------
     InputError

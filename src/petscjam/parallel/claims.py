@@ -31,6 +31,11 @@ def claimed(path: str | PathLike[str], comm: Comm | None = None) -> Iterator[Non
 
     The process may claim it again inside the block. With ``comm`` this is collective, and rank 0 makes the claim.
 
+    Parameters
+    ----------
+    path : str or PathLike
+    comm : Comm, optional
+
     Raises
     ------
     InputError
@@ -51,6 +56,11 @@ def made_folder(folder: str | PathLike[str], comm: Comm | None = None) -> Iterat
     """Make ``folder`` if necessary; if the block raises an error and the folder is empty, remove it again.
 
     With ``comm`` this is collective.
+
+    Parameters
+    ----------
+    folder : str or PathLike
+    comm : Comm, optional
 
     Raises
     ------

@@ -114,7 +114,14 @@ def _for_others(error: Exception | Interrupted | None) -> Exception | Interrupte
 
 
 def total(comm: Comm, share: Any) -> Any:
-    """Sum a scalar or an array over the ranks."""
+    """Sum over the ranks.
+
+    Parameters
+    ----------
+    comm : Comm
+    share : scalar or array
+        Of this rank; of one shape on all.
+    """
     share = np.asarray(share)
     out = np.empty_like(share)
     comm.Allreduce(share, out)

@@ -46,6 +46,13 @@ def scratch_folder() -> Path:
 def require(size: float, what: str, comm: Comm | None = None) -> None:
     """Raise if ``size`` bytes are not free on this machine or, with ``comm`` (collective), on any of its ranks.
 
+    Parameters
+    ----------
+    size : float
+        Bytes.
+    what : str
+    comm : Comm, optional
+
     Raises
     ------
     InputError
@@ -58,6 +65,14 @@ def require(size: float, what: str, comm: Comm | None = None) -> None:
 
 def check_memory(comm: Comm, unknowns: int, *, out_of_core: bool = False) -> str:
     """Return a text on the memory of a factor, before the computation; collective.
+
+    Parameters
+    ----------
+    comm : Comm
+    unknowns : int
+        Rows of the matrix.
+    out_of_core : bool
+        Whether the factor is kept in files.
 
     Raises
     ------

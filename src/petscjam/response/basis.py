@@ -51,6 +51,13 @@ class ReducedBasis:
         """Solve with the present factor, and remove what rounding adds to the solution.
 
         K does not resist a translation e, so eᵀ(Bx + drag) = 0; at low ω rounding would exceed that.
+
+        Parameters
+        ----------
+        rhs : (n,)
+            This rank's rows.
+        drag : (n,), optional
+            What is dragged besides x.
         """
         x, residual = self.solver.solve(rhs, soft=True)
         self.residual = max(self.residual, residual)
@@ -123,7 +130,18 @@ class ReducedBasis:
         return np.array([problem.displacement(q).real for q in gathered])
 
     def apply(self, matrix: Any, z: Complex) -> Complex:
-        """Return ``matrix`` times ``z``, this rank's rows."""
+        """Return ``matrix`` times ``z``, this rank's rows.
+
+        Parameters
+        ----------
+        matrix : PETSc.Mat
+        z : (n,)
+            This rank's rows.
+
+        Returns
+        -------
+        (n,)
+        """
         x, y = self.pencil.vectors
         x.array[:] = z
         matrix.mult(x, y)
@@ -144,7 +162,13 @@ class ReducedBasis:
         return np.concatenate([none, *(self.dot(block, force) for block in self._blocks)])
 
     def dot(self, a: NDArray[Any], b: NDArray[Any]) -> Any:
-        """Return aᵀb over all ranks, nothing conjugated."""
+        """Return aᵀb over all ranks, nothing conjugated.
+
+        Parameters
+        ----------
+        a, b : (n,) or (n, M)
+            This rank's rows.
+        """
         if np.iscomplexobj(b) and not np.iscomplexobj(a):
             return total(self.problem.comm, a.T @ b.real + 1j * (a.T @ b.imag))
         return total(self.problem.comm, a.T @ b)

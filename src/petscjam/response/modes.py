@@ -227,7 +227,18 @@ def lowest_modes(
 
 
 def check(count: int, network: ContactNetwork) -> None:
-    """Refuse a ``count`` out of its range, and a backbone of one disk."""
+    """Refuse a ``count`` out of its range, and a backbone of one disk.
+
+    Parameters
+    ----------
+    count : int
+        Modes asked for.
+    network : ContactNetwork
+
+    Raises
+    ------
+    InputError
+    """
     MODES.check("count:", count)
     if network.backbone.sum() < 2:
         raise InputError("packing: a backbone of one disk has no modes but translations")
@@ -266,7 +277,18 @@ def _rows(network: ContactNetwork, strain: str) -> tuple[csr_array, Array]:
 
 
 def probe(dofs: Dofs, rank: int) -> Array:
-    """Return a random number for each of this rank's unknowns, the same however the disks are dealt."""
+    """Return a random number for each of this rank's unknowns, the same however the disks are dealt.
+
+    Parameters
+    ----------
+    dofs : Dofs
+    rank : int
+
+    Returns
+    -------
+    (n,)
+        This rank's rows.
+    """
     start, stop = dofs.rows_of(rank)
     return np.random.default_rng(0).standard_normal(dofs.index.size)[dofs.flat[start:stop]]
 

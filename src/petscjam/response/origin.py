@@ -20,7 +20,24 @@ from petscjam.rows.damping import DampingLaw
 
 
 def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
-    """Return ``omegas`` as an array, or refuse an empty one and any that is out of range."""
+    """Return frequencies as an array.
+
+    Parameters
+    ----------
+    omegas : array_like
+        1/τ₁.
+    empty : bool
+        Whether there may be none.
+
+    Returns
+    -------
+    (W,)
+
+    Raises
+    ------
+    InputError
+        If there is none, or one is out of range.
+    """
     omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
     if omega.size == 0 and not empty:
         raise InputError("omega: the range is empty")

@@ -207,7 +207,17 @@ class LinearProblem:
 
 
 def describe(problem: LinearProblem, name: str, strain: str | None = None, damping: DampingLaw | None = None) -> Origin:
-    """Return where a result of ``problem`` comes from; the strain and the law are named where they matter."""
+    """Return where a result of ``problem`` comes from; the strain and the law are named where they matter.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    name : str
+        Of the packing.
+    strain : str, optional
+        Name of the strain mode.
+    damping : DampingLaw, optional
+    """
     packing, network = problem.packing, problem.backbone
     return Origin(
         name=name,

@@ -153,7 +153,20 @@ def spectrum(
 
 
 def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, float]:
-    """Return both ends, or refuse what is not 0 < low ≤ high."""
+    """Return both ends of a span of frequencies.
+
+    Parameters
+    ----------
+    span : (low, high)
+        0 < low ≤ high, 1/τ₁.
+    what : str
+        Name of the argument.
+
+    Raises
+    ------
+    InputError
+        If they are not such numbers, or too many decades apart.
+    """
     try:
         low, high = (float(end) for end in span)
     except (TypeError, ValueError):
@@ -166,7 +179,18 @@ def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, 
 
 
 def checked_rtol(rtol: float, least: float) -> None:
-    """Refuse what is not between ``least`` and 0.1."""
+    """Refuse a relative tolerance out of range.
+
+    Parameters
+    ----------
+    rtol : float
+    least : float
+        The lowest allowed; the largest is 0.1.
+
+    Raises
+    ------
+    InputError
+    """
     if not (isinstance(rtol, Real) and least <= rtol <= 0.1):
         raise InputError(f"rtol: must be between {least:g} and 0.1, not {shown(rtol)}")
 
