@@ -177,7 +177,21 @@ def correlations(
 def correlations_of(
     model: Spectrum, omegas: ArrayLike, *, width: float | None = None, bin: float | None = None
 ) -> Correlations:
-    """Return C(δ) as :func:`correlations` does, from a model that was kept with its motions: no solve."""
+    """Return C(δ) as :func:`correlations` does, from a model that was kept with its motions: no solve.
+
+    Parameters
+    ----------
+    model : Spectrum
+    omegas : array_like
+        1/τ1, in the span of the model.
+    width, bin : float, optional
+        As in :func:`correlations`.
+
+    Raises
+    ------
+    InputError
+        As :func:`correlations`; if the model was made without ``displacements``.
+    """
     omega = frequencies(omegas)
     Q = np.array([model.displacement(w)[:, 1] for w in omega]) / model(omega)[:, None]
     packing = model.geometry
@@ -253,10 +267,15 @@ def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: 
 
 
 def zero_crossing(delta: ArrayLike, C: ArrayLike) -> float:
-    """Return the first δ > 0 where C (D,) is zero, by linear interpolation; NaN if there is none.
+    """Return the first δ > 0 where C is zero, by linear interpolation; NaN if there is none.
 
     It starts from C(0) = 1. Bins without pairs, and the one at δ = 0, are passed over: pairs there are a
     lane apart.
+
+    Parameters
+    ----------
+    delta, C : (D,)
+        Lengths in ascending order; C is NaN in a bin without pairs.
     """
     x, y = np.asarray(delta, dtype=float), np.asarray(C, dtype=float)
     known = np.isfinite(y) & (x > 0)
@@ -268,7 +287,12 @@ def zero_crossing(delta: ArrayLike, C: ArrayLike) -> float:
 
 
 def minimum(delta: ArrayLike, C: ArrayLike) -> tuple[float, float]:
-    """Return δ and C (D,) where C is least: at the far end, L/2, if it falls all the way."""
+    """Return δ and C where C is least: at the far end, L/2, if it falls all the way.
+
+    Parameters
+    ----------
+    delta, C : (D,)
+    """
     k = int(np.nanargmin(C))
     return float(np.asarray(delta)[k]), float(np.asarray(C)[k])
 
@@ -278,10 +302,17 @@ def correlation_length(
 ) -> CorrelationLength:
     """Return where the mean of C over several packings crosses zero, with its jackknife error.
 
-    The packings are alike in size, pressure and law; those that are not stable are left out, unless
-    ``unstable``. Their cells may differ a little, so C is averaged at the same δ/L, and lengths are those of
-    the mean cell. The error is NaN for a single packing. ``part`` is ``real`` (peak stress) or ``imaginary``
-    (zero stress).
+    Their cells may differ a little, so C is averaged at the same δ/L, and lengths are those of the mean cell.
+    The error is NaN for a single packing.
+
+    Parameters
+    ----------
+    results : mapping of str to Correlations
+        Alike in size, pressure and law.
+    part : str
+        ``real`` (peak stress) or ``imaginary`` (zero stress).
+    unstable : bool
+        Whether packings that are not stable count.
 
     Raises
     ------

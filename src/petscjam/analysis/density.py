@@ -229,7 +229,13 @@ def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
 
 
 def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
-    """Return ``u`` (N, 2) on the backbone without translations, of length 1, as a field (N, 3)."""
+    """Return ``u`` on the backbone without translations, of length 1, as a field (N, 3).
+
+    Parameters
+    ----------
+    u : (N, 2)
+    backbone : (N,) bool
+    """
     field = np.zeros((len(u), 3))
     field[backbone, :2] = u[backbone] - u[backbone].mean(0)
     return field / np.linalg.norm(field)
@@ -288,7 +294,19 @@ def jackson(count: int) -> Array:
 
 
 def frequency_grid(edge: float, count: int) -> Array:
-    """Return 2·``count`` frequencies, evenly in θ: half the width of the kernel apart."""
+    """Return 2·``count`` frequencies, evenly in θ: half the width of the kernel apart.
+
+    Parameters
+    ----------
+    edge : float
+        The highest frequency √λ of K.
+    count : int
+        Chebyshev moments.
+
+    Returns
+    -------
+    (2·count,)
+    """
     return edge * np.sin(np.pi / 2 * (np.arange(2 * count) + 0.5) / (2 * count))
 
 

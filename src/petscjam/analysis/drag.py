@@ -128,6 +128,15 @@ def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
     τ = C(α)(ωu₀)^(α−1), u₀ = δσ/√(1 + (ωτ)²). As h(ln τ) = 0, h has a slope between 1 and α: for any α > 0
     there is one root, between y₀, what it is for ωτ ≪ 1, and y₀ − h(y₀)/min(1, α).
 
+    Parameters
+    ----------
+    omegas : (W,)
+        1/τ1.
+    stress : float
+        δσ, in units of k.
+    alpha : float
+        Exponent α of the force with the speed.
+
     Raises
     ------
     InputError
@@ -232,7 +241,18 @@ def _unit(model: Spectrum) -> float:
 
 
 def check_amplitude(stress: float, alpha: float) -> None:
-    """Refuse what is not in its range."""
+    """Refuse what is not in its range.
+
+    Parameters
+    ----------
+    stress : float
+        δσ, in units of k.
+    alpha : float
+
+    Raises
+    ------
+    InputError
+    """
     ranges.STRESS.check("stress:", stress)
     ranges.ALPHA.check("alpha:", alpha)
 

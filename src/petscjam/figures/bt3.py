@@ -36,9 +36,16 @@ def draw(data: FigureData) -> None:
 def draw_collapse(
     page: Page, results: Mapping[str, Any], law: DampingLaw, picture: Path, affine: float = AFFINE
 ) -> None:
-    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents.
+    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents (BT fig. 3).
 
-    From the frequency ``affine`` on the response is no longer critical.
+    Parameters
+    ----------
+    page : Page
+    results : mapping of str to ComplexModulus
+    law : DampingLaw
+    picture : Path
+    affine : float
+        Frequency from which the response is no longer critical, 1/τ1.
     """
     from matplotlib.figure import Figure
 
@@ -65,7 +72,18 @@ def draw_collapse(
 
 
 def exponents(page: Page, groups: Mapping[float, list[Any]], how: str, affine: float) -> None:
-    """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime."""
+    """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime.
+
+    Parameters
+    ----------
+    page : Page
+    groups : mapping of float to list of ComplexModulus
+        By pressure.
+    how : str
+        With or without pre-stress, for the names.
+    affine : float
+        Frequency from which the response is no longer critical, 1/τ1.
+    """
     p = np.array(list(groups))
     page.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")
     page.exponent(f"η0 ~ p^(μ−λ), {how}", p, [[g.eta0 for g in some] for some in groups.values()], "−1/2")

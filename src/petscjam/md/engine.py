@@ -131,6 +131,17 @@ class Engine(Protocol):
     def restored(cls, saved: Mapping[str, Any], model: Model, dt: float, integrator: str, threads: int) -> Engine:
         """Return the engine of a checkpoint.
 
+        Parameters
+        ----------
+        saved : mapping of str to arrays
+            Of :meth:`checkpoint`.
+        model : Model
+        dt : float
+            τe.
+        integrator : str
+            A name from ``INTEGRATORS``.
+        threads : int
+
         Raises
         ------
         InputError

@@ -109,7 +109,18 @@ class Profile:
 
 
 def blocks_after(run: Run, strain: float | None = None) -> NDArray[np.bool_]:
-    """Return which blocks end beyond ``strain`` from the start; left out, a quarter of the run, (B,) bool."""
+    """Return which blocks end beyond ``strain`` from the start.
+
+    Parameters
+    ----------
+    run : Run
+    strain : float, optional
+        Left out, a quarter of the run.
+
+    Returns
+    -------
+    (B,) bool
+    """
     last = np.abs(run.strain[:, None] - run.blocks["strain"]).argmin(0)  # row of each
     return run.after(strain)[last]
 

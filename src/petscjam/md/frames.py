@@ -27,6 +27,12 @@ def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
     (:func:`petscjam.md.fields.local_maps`); strain, rate and time are attributes of the frame. Units: ds, m,
     τe. :func:`petscjam.import_packing` reads a frame, too.
 
+    Parameters
+    ----------
+    state : State
+    folder : str or PathLike
+    index : int
+
     Raises
     ------
     InputError
@@ -46,6 +52,12 @@ def frames_of(output: str | PathLike[str]) -> Path:
 
 def remove_frames(output: str | PathLike[str], *, overwrite: bool) -> None:
     """Remove the frames of the run that ``output`` will replace.
+
+    Parameters
+    ----------
+    output : str or PathLike
+        File of the run.
+    overwrite : bool
 
     Raises
     ------

@@ -160,7 +160,14 @@ class Model:
         return 2 * self.normal, (6 if self.rolls else 2) * self.tangential
 
     def step(self, dt: float | None, integrator: str) -> float:
-        """Return ``dt``; left out, one that keeps the energy budget within 1 %, at most VOT's 0.05 τe.
+        """Return the time step, checked.
+
+        Parameters
+        ----------
+        dt : float or None
+            τe; None: one that keeps the energy budget within 1 %, at most VOT's 0.05 τe.
+        integrator : str
+            A name from ``INTEGRATORS``.
 
         Raises
         ------
@@ -183,9 +190,14 @@ class Model:
 
 
 def stable_step(integrator: str, relaxation: float, oscillation: float) -> float:
-    """Return the largest stable time step, in τe, where M⁻¹B and M⁻¹K have these largest eigenvalues.
+    """Return the largest stable time step, in τe (docs/theory.md, Largest time steps).
 
-    docs/theory.md, Largest time steps.
+    Parameters
+    ----------
+    integrator : str
+        A name from ``INTEGRATORS``.
+    relaxation, oscillation : float
+        Largest eigenvalues of M⁻¹B, 1/τe, and M⁻¹K, 1/τe².
     """
     if integrator == "heun":
         return min(2 / relaxation if relaxation else inf, sqrt(3 / oscillation) if oscillation else inf)

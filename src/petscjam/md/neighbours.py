@@ -55,7 +55,16 @@ class Pairs(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def wrap(q: Array, L: float, strain: float, rate: float) -> None:
-    """Move every disk of q (N, ≥ 3) to its image in the square, with the velocity of that image."""
+    """Move every disk to its image in the square, with the velocity of that image.
+
+    Parameters
+    ----------
+    q : (N, ≥ 3)
+        Overwritten.
+    L : float
+    strain, rate : float
+        γ and γ̇.
+    """
     for a in range(len(q)):
         row = np.floor(q[a, 1] / L)
         q[a, 1] -= row * L
@@ -71,7 +80,18 @@ def wrap(q: Array, L: float, strain: float, rate: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def order_in_space(q: Array, L: float) -> Integers:
-    """Return the stable order of disks by square bins, one for each disk, row by row."""
+    """Return the stable order of disks by square bins, one for each disk, row by row.
+
+    Parameters
+    ----------
+    q : (N, ≥ 2)
+        In the square.
+    L : float
+
+    Returns
+    -------
+    (N,)
+    """
     n = len(q)
     across = max(int(np.sqrt(n)), 1)
     bin, order = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -89,7 +109,15 @@ def order_in_space(q: Array, L: float) -> Integers:
 
 @njit(cache=True, error_model="numpy")
 def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pairs:
-    """List the pairs of disks at ``x``, sorted and in the square, closer than Ri + Rj + ``skin``."""
+    """List the pairs of disks closer than Ri + Rj + ``skin``.
+
+    Parameters
+    ----------
+    x : (N, 2)
+        Sorted, and in the square.
+    R : (N,)
+    L, strain, skin : float
+    """
     turns = np.rint(strain)
     lattice = np.zeros((2, 2))
     lattice[0, 0] = lattice[1, 1] = L
@@ -107,7 +135,18 @@ def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pair
 
 @njit(cache=True)
 def open_contacts(pairs: Pairs, tag: Integers) -> Integers:
-    """Return the disks, by tag, of the pairs that touch, and since when, (C, 3)."""
+    """Return the disks, by tag, of the pairs that touch, and since when.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    tag : (N,)
+        Number of each disk in the first state.
+
+    Returns
+    -------
+    (C, 3)
+    """
     found = np.empty((len(pairs.i), 3), np.int64)
     n = 0
     for c in range(len(pairs.i)):
@@ -120,7 +159,15 @@ def open_contacts(pairs: Pairs, tag: Integers) -> Integers:
 
 @njit(cache=True)
 def mark(pairs: Pairs, tag: Integers, contacts: Integers) -> int:
-    """Mark ``contacts`` of :func:`open_contacts` in a new list; return how many are not in it."""
+    """Mark ``contacts`` of :func:`open_contacts` in a new list; return how many are not in it.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        Its ``touching`` and ``since`` are overwritten.
+    tag : (N,)
+    contacts : (C, 3)
+    """
     n = len(tag)
     place = np.empty(n, np.int64)
     for a in range(n):

@@ -107,7 +107,14 @@ class Row:
     older: float | None = None
 
     def value(self, interval: Interval, name: str) -> float:
-        """Return its value in an interval."""
+        """Return its value in an interval.
+
+        Parameters
+        ----------
+        interval : Interval
+        name : str
+            Of the observable.
+        """
         return interval.sampled[name] if self.take is None else self.take(interval)
 
 
@@ -239,7 +246,14 @@ class Block:
     sample: Callable[[State], Any] | None = None
 
     def value(self, block: BlockSums, name: str) -> Any:
-        """Return its values in a block."""
+        """Return its values in a block.
+
+        Parameters
+        ----------
+        block : BlockSums
+        name : str
+            Of the observable.
+        """
         return block.sampled[name] if self.take is None else self.take(block)
 
 

@@ -46,16 +46,43 @@ class Protocol:
 
 
 def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
-    """Shear at ``rate`` (1/τe, not 0) to ``strain`` (above 0); ``bulk`` matters to starts at other rates."""
+    """Shear at a steady rate.
+
+    Parameters
+    ----------
+    rate : float
+        1/τe, not 0.
+    strain : float
+        Above 0.
+    bulk : str
+        What a start at another rate does to velocities, a name from ``BULK``.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
     _check_rate(rate)
     ranges.STRAIN.check("shear: the strain", strain)
     return Protocol("steady", lambda t: np.full(len(t), float(rate)), strain / abs(rate), bulk, {"rate": rate})
 
 
 def ramp(rate: float, to: float, kappa: float) -> Protocol:
-    """Raise γ̇ from ``rate`` by a factor 10^κ̃ every τe up to ``to``, and lower it again (VOT eqs. 38–41).
+    """Raise γ̇ by a factor 10^κ̃ every τe, and lower it again (VOT eqs. 38–41).
 
-    A lower ``to`` ramps down first. Velocities and spins are scaled with the rate.
+    Velocities and spins are scaled with the rate.
+
+    Parameters
+    ----------
+    rate, to : float
+        Where it begins and where it turns, 1/τe; a lower ``to`` ramps down first.
+    kappa : float
+        κ̃.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or both rates are the same.
     """
     for name, value, known in (
         ("rate", rate, ranges.RATE_SIZE),
@@ -78,9 +105,21 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
 
 
 def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale") -> Protocol:
-    """Shear at each of ``rates`` to the strain beside it; at a rate of 0 that is a time in τe instead.
+    """Shear at several strain rates in turn: a step of the rate or, with a last rate of 0, the cessation of shear.
 
-    A step of the strain rate, or, with a last rate of 0, the cessation of shear.
+    Parameters
+    ----------
+    rates : sequence of float
+        1/τe.
+    strains : sequence of float
+        How far at each; at a rate of 0 a time, τe.
+    bulk : str
+        What a change of the rate does to velocities, a name from ``BULK``.
+
+    Raises
+    ------
+    InputError
+        If there are not as many of both, or a number is out of range.
     """
     if len(rates) != len(strains) or len(rates) == 0:
         raise InputError(f"shear: {len(rates)} strain rates but {len(strains)} strains")

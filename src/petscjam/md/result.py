@@ -245,7 +245,13 @@ def is_run(path: str | PathLike[str]) -> bool:
 
 
 def write_run(h5: Any, run: Run) -> None:
-    """Write ``run`` into an open HDF5 file."""
+    """Write ``run`` into an open HDF5 file.
+
+    Parameters
+    ----------
+    h5 : h5py.File
+    run : Run
+    """
     h5.attrs.update(format=FORMAT, schema=SCHEMA)
     if run.warnings:
         h5.attrs["warnings"] = list(run.warnings)

@@ -119,10 +119,18 @@ def ramp(
     output: str | PathLike[str] | None = None,
     **options: Any,
 ) -> Run:
-    """Raise the strain rate from ``rate`` to ``to`` by 10^κ̃ every τe, and lower it again (VOT sec. III D).
+    """Raise the strain rate by 10^κ̃ every τe, and lower it again (VOT sec. III D).
 
-    Each row averages over 10³ τe. ``rate`` and ``to`` are in 1/τe, ``kappa`` is κ̃; the other parameters are
-    those of :func:`shear`.
+    Each row averages over 10³ τe.
+
+    Parameters
+    ----------
+    rate, to : float
+        Where it begins and where it turns, 1/τe.
+    kappa : float
+        κ̃.
+    model, n, phi, Q, seed, dt, start, output, **options
+        As in :func:`shear`.
     """
     protocol = protocols.ramp(rate, to, kappa)
     return run(protocol, model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options)

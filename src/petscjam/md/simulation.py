@@ -282,7 +282,18 @@ class Simulation:
         return self._measured.total + half, end
 
     def sample(self, layers: Array, moments: Array, scatter: Array) -> Array:
-        """Add what disks and contacts do at this moment (:meth:`petscjam.md.engine.Engine.sample`)."""
+        """Add what disks and contacts do at this moment (:meth:`petscjam.md.engine.Engine.sample`).
+
+        Parameters
+        ----------
+        layers, moments, scatter : arrays
+            As there; overwritten.
+
+        Returns
+        -------
+        (SAMPLED,)
+            Sums.
+        """
         sums = np.zeros(SAMPLED)
         kernels.sample_disks(self._disks, self.L, self.rate, layers, sums)
         kernels.sample_contacts(self._disks.q, self._pairs, self._moment, moments, scatter, sums)
@@ -323,6 +334,15 @@ class Simulation:
         cls, saved: Mapping[str, Any], model: Model, dt: float, integrator: str, threads: int = 1
     ) -> Simulation:
         """Return the simulation of a :meth:`checkpoint`.
+
+        Parameters
+        ----------
+        saved : mapping of str to arrays
+        model : Model
+        dt : float
+            τe.
+        integrator : str
+        threads : int
 
         Raises
         ------

@@ -34,6 +34,18 @@ def first_state(
     Disks at random positions part first. Of a run, velocities and spins are scaled to the new rate (VOT eqs.
     40, 41), if changes of the rate scale them; a given state stays as it is where only the boundary moves.
 
+    Parameters
+    ----------
+    state : State or None
+        None: disks at random positions.
+    origin : str
+        Where it is from, for messages.
+    n, phi : int and float, optional
+        As many disks, and such a packing fraction, are asked for.
+    seed : int
+    model : Model
+    protocol : Protocol
+
     Raises
     ------
     InputError

@@ -125,13 +125,41 @@ def radii(n: int) -> Array:
 
 
 def cell_length(sizes: Array, phi: float) -> float:
-    """Return the edge L at which ``sizes`` (radii) have packing fraction ``phi`` (VOT eq. 11)."""
+    """Return the edge L of the square cell (VOT eq. 11).
+
+    Parameters
+    ----------
+    sizes : (N,)
+        Radii.
+    phi : float
+        Packing fraction.
+
+    Raises
+    ------
+    InputError
+        If ``phi`` is out of range.
+    """
     ranges.PHI.check("shear: the packing fraction phi", phi)
     return float(np.sqrt(np.pi * (sizes**2).sum() / phi))
 
 
 def random_state(n: int, phi: float, seed: int, potential_name: str = "harmonic-relative") -> State:
-    """Return disks at rest, at random positions: they overlap."""
+    """Return disks at rest, at random positions: they overlap.
+
+    Parameters
+    ----------
+    n : int
+        Disks.
+    phi : float
+        Packing fraction.
+    seed : int
+    potential_name : str
+
+    Raises
+    ------
+    InputError
+        If ``seed`` or ``phi`` is out of range, or the memory is too small.
+    """
     ranges.SEED.check("shear: the seed", seed)
     require(BYTES_PER_DISK * n, f"shear: {n} disks")
     sizes = radii(n)

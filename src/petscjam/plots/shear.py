@@ -60,6 +60,11 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
 
     Means, profiles and histograms leave out the first quarter of the strain, shaded in the time series.
 
+    Parameters
+    ----------
+    run : Run
+    path : str or PathLike
+
     Raises
     ------
     InputError
@@ -235,6 +240,13 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
 
     Colours span all but the outermost percents.
 
+    Parameters
+    ----------
+    state : State
+    path : str or PathLike
+    radius : float
+        Of the circle around a disk in which both are measured, ds.
+
     Raises
     ------
     InputError
@@ -282,6 +294,11 @@ def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any,
 
 def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
     """Draw Σ and P against the strain rate as it goes up (filled) and down (open) (VOT fig. 31).
+
+    Parameters
+    ----------
+    run : Run
+    path : str or PathLike
 
     Raises
     ------
@@ -360,6 +377,11 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
     The abscissa is whichever of strain rate, Q and φ takes the most values; each combination of the others,
     of models and of sizes is a curve. A point is the time mean over the last three quarters of a run, and
     its error; of several runs alike, their mean and its standard error.
+
+    Parameters
+    ----------
+    runs : mapping of str to Run
+    path : str or PathLike
 
     Raises
     ------

@@ -25,7 +25,7 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     Parameters
     ----------
     omegas : array_like
-        1/τ₁.
+        1/τ1.
     empty : bool
         Whether there may be none.
 

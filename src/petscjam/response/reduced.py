@@ -158,7 +158,7 @@ def checked_span(span: tuple[float, float], what: str = "span") -> tuple[float, 
     Parameters
     ----------
     span : (low, high)
-        0 < low ≤ high, 1/τ₁.
+        0 < low ≤ high, 1/τ1.
     what : str
         Name of the argument.
 
