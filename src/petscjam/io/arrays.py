@@ -42,6 +42,11 @@ def read_jaxmd(path: Path, wanted: Wanted) -> Packing:
     """Read the NetCDF files of jax-md's tests: ½(1 − r/σ)², positions as fractions of the box.
 
     A box of jax-md multiplies columns, so its lattice vectors are columns.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
     """
     with open_arrays(path) as file:
         index = wanted.one_of(file["pos"].shape[0])

@@ -47,6 +47,12 @@ def export_packing(packing: Packing, path: str | PathLike[str], to: str | None =
 def format_of(path: str | PathLike[str], to: str | None, default: str) -> str:
     """Return the format for ``path``: ``to``, or that of the extension, or, without one, ``default``.
 
+    Parameters
+    ----------
+    path : str or PathLike
+    to, default : str
+        Names of formats.
+
     Raises
     ------
     InputError

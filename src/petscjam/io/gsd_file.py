@@ -17,7 +17,13 @@ SINGLE = 1e-6  # largest relative difference of diameters in single and in doubl
 
 
 def read_gsd(path: Path, wanted: Wanted) -> Packing:
-    """Read a frame of GSD. Diameters are those of disks, else those of the shapes of their types."""
+    """Read a frame of GSD. Diameters are those of disks, else those of the shapes of their types.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     try:
         with gsd_library().hoomd.open(path) as trajectory:
             index = wanted.one_of(len(trajectory))

@@ -17,7 +17,13 @@ SAID = {"commit": r"commit (\w+)", "seed": r"srand\((\d+)\)", "P": r"P = (\S+)",
 
 
 def read_jambashbulk(path: Path, wanted: Wanted) -> Packing:
-    """Read a packing of jamBashBulk."""
+    """Read a packing of jamBashBulk.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     text = Text(path)
     lines = text.lines
     headers = [n for n, line in enumerate(lines) if line.startswith("N = ")]

@@ -195,7 +195,15 @@ class PackingAnalysis(Analysis):
         return {(item.checksum, item.damping, item.prestress) for item in items}
 
     def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
-        """Yield the result for each law."""
+        """Yield the result for each law.
+
+        Parameters
+        ----------
+        packing : Packing
+        laws : sequence of DampingLaw or None
+        **common
+            Arguments of every analysis: ``comm``, ``name``, ….
+        """
         for law in laws:
             damping = {} if law is None else {"damping": law}
             yield law, self.function(packing, **self.options, **damping, **common)
@@ -266,7 +274,15 @@ class ModulusAnalysis(Analysis):
         return done(ensemble.output, wanted, omegas, fields_at, None if self.direct else self.rtol)
 
     def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, ComplexModulus]]:
-        """Yield G* under each law."""
+        """Yield G* under each law.
+
+        Parameters
+        ----------
+        packing : Packing
+        laws : sequence of DampingLaw
+        **common
+            Arguments of every analysis: ``comm``, ``name``, ….
+        """
         common["strain"], first = self.strain, laws[0]
         if self.direct:
             yield first, complex_modulus(packing, self.omegas, damping=first, fields_at=self.fields_at, **common)

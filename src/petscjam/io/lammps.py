@@ -33,7 +33,13 @@ HEADER = ("atoms", "xlo xhi", "ylo yhi", "zlo zhi", "xy xz yz", "avec", "bvec")
 
 
 def read_lammps_data(path: Path, wanted: Wanted) -> Packing:
-    """Read a data file; the disks are sorted by id."""
+    """Read a data file; the disks are sorted by id.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     wanted.one_of(1)
     text = Text(path)
     lines = text.lines
@@ -92,7 +98,13 @@ def _header(text: Text, end: int) -> dict[str, list[float]]:
 
 
 def read_lammps_dump(path: Path, wanted: Wanted) -> Packing:
-    """Read a dump with id, x y (or xu, xs, xsu), and radius, diameter or type; the disks are sorted by id."""
+    """Read a dump with id, x y (or xu, xs, xsu), and radius, diameter or type; the disks are sorted by id.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     text = Text(path)
     lines = text.lines
     starts = [n for n, line in enumerate(lines) if line == "ITEM: TIMESTEP"]

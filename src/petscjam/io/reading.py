@@ -45,9 +45,19 @@ class Wanted:
         return self.index
 
     def radii(self, sizes: Mapping[str, Array], types: Sequence[str]) -> Array:
-        """Return the radii (N,): those of the file, or else by type.
+        """Return the radii: those of the file, or else by type.
 
-        ``sizes`` are the columns ``radius`` and ``diameter``, as far as the file has them.
+        Parameters
+        ----------
+        sizes : mapping of str to (N,)
+            The columns ``radius`` and ``diameter``, as far as the file has them.
+        types : sequence of str
+            Of each disk, (N,).
+
+        Raises
+        ------
+        InputError
+            If both columns contradict each other, or there is no radius or two.
         """
         radii = [values / 2 if name == "diameter" else values for name, values in sizes.items()]
         if radii:
@@ -89,7 +99,26 @@ class Text:
         return [n for n in range(first, end) if self.words(n)]
 
     def table(self, rows: Sequence[int], width: int, columns: Sequence[int]) -> Array:
-        """Read ``columns`` of the lines ``rows``, which have ``width`` words each."""
+        """Read columns of numbers.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Numbers of lines, from 0.
+        width : int
+            Words on each of them.
+        columns : sequence of int
+            Which of the words, from 0.
+
+        Returns
+        -------
+        (rows, columns)
+
+        Raises
+        ------
+        InputError
+            If a line has more or fewer words, or one of them is no number.
+        """
         table = []
         for n in rows:
             words = self.words(n)
@@ -119,7 +148,19 @@ def digits_of(word: str) -> str:
 
 
 def numbers(words: Sequence[str], n: int) -> list[float]:
-    """Parse ``words`` of line ``n``."""
+    """Parse words as numbers.
+
+    Parameters
+    ----------
+    words : sequence of str
+    n : int
+        Their line, from 0.
+
+    Raises
+    ------
+    InputError
+        It names the line and the word.
+    """
     try:
         return [parsed(word) for word in words]
     except ValueError as error:

@@ -33,7 +33,13 @@ def _formats() -> list[str]:
 
 
 def group_name(packing: Packing, name: str) -> str:
-    """Return the group of a packing: its name and the start of its checksum."""
+    """Return the group of a packing: its name and the start of its checksum.
+
+    Parameters
+    ----------
+    packing : Packing
+    name : str
+    """
     return f"{name}-{packing.checksum[:8]}"
 
 
@@ -191,6 +197,12 @@ def done(
 
 def write_spectrum(model: Spectrum, file: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a reduced model: a small file, unless the model has displacements.
+
+    Parameters
+    ----------
+    model : Spectrum
+    file : str or PathLike
+    overwrite : bool
 
     Raises
     ------

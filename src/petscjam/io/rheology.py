@@ -68,7 +68,14 @@ def export_rheology(
 
 
 def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
-    """Return ω, G′, G″ as RepTate's application LVE reads them."""
+    """Return ω, G′, G″ as RepTate's application LVE reads them.
+
+    Parameters
+    ----------
+    source : Spectrum or ComplexModulus
+    omegas : array_like, optional
+        1/τ1; left out, those of ``source``, or an even grid in its span.
+    """
     modulus = _sampled(source, omegas)
     lines = [_parameters(modulus, Mw=0, T=0), _setting(modulus), f"# frequencies in 1/tau1, {_moduli(modulus)}"]
     columns = [modulus.omega, modulus.values.real, modulus.values.imag]
@@ -76,7 +83,19 @@ def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> b
 
 
 def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> bytes:
-    """Return t, G(t) as RepTate's application Gt reads them. It divides by ``gamma``: here 1."""
+    """Return t, G(t) as RepTate's application Gt reads them. It divides by ``gamma``: here 1.
+
+    Parameters
+    ----------
+    source : Spectrum or ComplexModulus
+    times : array_like, optional
+        τ1; left out, an even grid in what the model knows.
+
+    Raises
+    ------
+    InputError
+        If a time is outside that, or a modulus has no model.
+    """
     model = _model(source, "G(t)")
     first, last = 1 / model.span[1], 1 / model.span[0]
     t = per_decade(PER_DECADE, first, last) if times is None else _times(times)

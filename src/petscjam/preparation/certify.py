@@ -358,7 +358,18 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
 
 
 def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packing, Instability | None]:
-    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one; parameters as there."""
+    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one.
+
+    Parameters
+    ----------
+    packing, target_pressure
+        As there.
+
+    Raises
+    ------
+    InputError, SolverError
+        As there.
+    """
     network = ContactNetwork.of(packing)
     K = hessian(network)
     pressure, diameter = network.pressure, packing.mean_diameter

@@ -146,15 +146,27 @@ def relax_packing(
 ) -> Packing:
     """Return the nearest minimum of ``packing``, with its certificate.
 
-    At constant ``pressure`` the size of the cell relaxes, and its shape if the packing is to be stable
-    against shear; without a pressure the cell stays as it is. FIRE or conjugate gradients lead to where
-    Newton's method converges. Then K is judged (:func:`petscjam.certify`); a negative mode is followed
-    downhill, and minimisation goes on until the minimum is proved or the budget is spent.
+    FIRE or conjugate gradients lead to where Newton's method converges. Then K is judged
+    (:func:`petscjam.certify`); a negative mode is followed downhill, and minimisation goes on until the minimum
+    is proved or the budget is spent. It ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and the pressure
+    (stabilised: the pressure tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target.
 
-    It ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure
-    tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target. Parameters and errors are those of
-    :func:`prepare_packing`; disks that are not jammed at their volume are an InputError, too. For a series of
-    falling pressures relax the packing of the pressure before.
+    Parameters
+    ----------
+    packing : Packing
+        For a series of falling pressures, the packing of the pressure before.
+    pressure : float, optional
+        At constant pressure the size of the cell relaxes, and its shape if the packing is to be stable against
+        shear; left out, the cell stays as it is.
+    shear_stabilised, method, threads, budget, progress
+        As in :func:`prepare_packing`.
+
+    Raises
+    ------
+    InputError
+        As :func:`prepare_packing`, and if the disks are not jammed at their volume.
+    SolverError
+        As :func:`prepare_packing`.
     """
     d = packing.mean_diameter
     unit = packing.potential.unit(d)

@@ -25,7 +25,16 @@ class Contact(NamedTuple):
 def contacts(positions, radii, cell, relative=False, images=3):
     """Return every contact, by trying all pairs and all images.
 
-    ``relative`` picks U = ½(1 − r/σ)² instead of U = ½(σ − r)².
+    Parameters
+    ----------
+    positions : (N, 2)
+    radii : (N,)
+    cell : (2, 2)
+        Rows are lattice vectors.
+    relative : bool
+        Picks U = ½(1 − r/σ)² instead of U = ½(σ − r)².
+    images : int
+        As many to each side.
     """
     found = []
     for i in range(len(radii)):
@@ -45,7 +54,14 @@ def contacts(positions, radii, cell, relative=False, images=3):
 
 
 def without_rattlers(found, n):
-    """Drop, again and again, the contacts of disks that have fewer than three."""
+    """Drop, again and again, the contacts of disks that have fewer than three.
+
+    Parameters
+    ----------
+    found : list of contacts
+    n : int
+        Disks.
+    """
     while True:
         count = [0] * n
         for c in found:
@@ -58,12 +74,28 @@ def without_rattlers(found, n):
 
 
 def affine(strain, rx, ry):
-    """Return F′r for a strain mode."""
+    """Return F′r.
+
+    Parameters
+    ----------
+    strain : str
+        Name of the strain mode.
+    rx, ry : float
+    """
     return {"simple-shear": (ry, 0.0), "pure-shear": (rx / 2, -ry / 2), "compression": (rx, ry)}[strain]
 
 
 def rows(c, radii, strain, arms):
-    """Return the rows of Δu∥ and Δu⊥ over all 3N + 1 degrees of freedom; ``arms`` = 1: where they touch."""
+    """Return the rows of Δu∥ and Δu⊥, (3N + 1,) each.
+
+    Parameters
+    ----------
+    c : contact
+    radii : (N,)
+    strain : str
+    arms : int
+        1: where the disks touch; 0: at their centres.
+    """
     n = len(radii)
     r = (c.rx**2 + c.ry**2) ** 0.5
     nx, ny = c.rx / r, c.ry / r
@@ -81,7 +113,16 @@ def rows(c, radii, strain, arms):
 
 
 def hessian(found, radii, strain="simple-shear", prestress=True):
-    """Return K, (3N + 1, 3N + 1): BT eqs. 4 and 11, with the curvature of F where F is not linear."""
+    """Return K, (3N + 1, 3N + 1): BT eqs. 4 and 11, with the curvature of F where F is not linear.
+
+    Parameters
+    ----------
+    found : list of contacts
+    radii : (N,)
+    strain : str
+    prestress : bool
+        Keep the second term of BT eq. 4.
+    """
     K = np.zeros((3 * len(radii) + 1,) * 2)
     for c in found:
         parallel, transverse = rows(c, radii, strain, arms=0)
@@ -95,7 +136,16 @@ def hessian(found, radii, strain="simple-shear", prestress=True):
 
 
 def contact_damping(found, radii, beta, rotations=True, strain="simple-shear"):
-    """Return B of BT eq. 6, (3N + 1, 3N + 1)."""
+    """Return B of BT eq. 6, (3N + 1, 3N + 1).
+
+    Parameters
+    ----------
+    found : list of contacts
+    radii : (N,)
+    beta : float
+    rotations : bool
+    strain : str
+    """
     B = np.zeros((3 * len(radii) + 1,) * 2)
     for c in found:
         parallel, transverse = rows(c, radii, strain, arms=int(rotations))
@@ -104,7 +154,15 @@ def contact_damping(found, radii, beta, rotations=True, strain="simple-shear"):
 
 
 def stokes_drag(n, area, eta_fluid, strain="simple-shear"):
-    """Return B of BT eq. 8 in terms of the non-affine displacement, (3N + 1, 3N + 1)."""
+    """Return B of BT eq. 8 in terms of the non-affine displacement, (3N + 1, 3N + 1).
+
+    Parameters
+    ----------
+    n : int
+        Disks.
+    area, eta_fluid : float
+    strain : str
+    """
     B = np.diag([1.0] * 2 * n + [0.0] * n + [0.0])
     if strain != "compression":
         B[-1, -1] = eta_fluid * area
@@ -115,6 +173,11 @@ def modulus(K, B, omega, area):
     """Return G*(ω): solve (K + iωB) Q = e_γ (BT eq. 12) in the least-squares sense, G*V = 1/Q_γ.
 
     Free motions (translations, rotations that nothing resists) drop out of the least-squares solution.
+
+    Parameters
+    ----------
+    K, B : (3N + 1, 3N + 1)
+    omega, area : float
     """
     A = K + 1j * omega * B
     scale = 1 / np.sqrt(np.abs(np.diag(A)) + (np.diag(A) == 0))
@@ -128,6 +191,11 @@ def stokes_modal_sum(K, omega, area, eta_fluid):
     """Return G*(ω) under Stokes drag from the modes of K_uu, by hand.
 
     G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω)) + iω ηF.
+
+    Parameters
+    ----------
+    K : (3N + 1, 3N + 1)
+    omega, area, eta_fluid : float
     """
     n2 = 2 * (len(K) - 1) // 3
     values, vectors = np.linalg.eigh(K[:n2, :n2])

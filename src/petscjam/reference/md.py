@@ -39,7 +39,12 @@ def turned(vector):
 
 
 def cross(a, b):
-    """Return ẑ·(a × b)."""
+    """Return ẑ·(a × b).
+
+    Parameters
+    ----------
+    a, b : (2,)
+    """
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -80,7 +85,13 @@ def touching(state):
 
 
 def contacts(state, model):
-    """Yield every contact with its forces (VOT eqs. 2–7), the damping split in normal and tangential."""
+    """Yield every contact with its forces (VOT eqs. 2–7), the damping split in normal and tangential.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    """
     alpha = model.potential.exponent
     for i, j, r, v in touching(state):
         Ri, Rj, wi, wj = state.radii[i], state.radii[j], state.spins[i], state.spins[j]
@@ -98,12 +109,25 @@ def contacts(state, model):
 
 
 def stiffness(d, model):
-    """Return k of V = k (d − r)^α / α: ke/d^α in VOT eq. 1, or the same for every pair."""
+    """Return k of V = k (d − r)^α / α: ke/d^α in VOT eq. 1, or the same for every pair.
+
+    Parameters
+    ----------
+    d : float
+        Ri + Rj, ds.
+    model : Model
+    """
     return d**-model.potential.exponent if model.potential.relative else 1.0
 
 
 def disk_forces(state, model):
-    """Return the force (N, 2) and the torque (N,) on every disk: contacts, and the drag of the fluid."""
+    """Return the force (N, 2) and the torque (N,) on every disk: contacts, and the drag of the fluid.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    """
     forces = -model.body * peculiar(state)
     torques = -model.rotational_drag * (state.spins + state.rate / 2)
     for c in contacts(state, model):
@@ -118,6 +142,12 @@ def pressure_tensor(state, model, masses=1.0):
     """Return the elastic, dissipative and kinetic pressure, (2, 2) each (VOT eqs. 12–14).
 
     First index force or velocity, second index separation or velocity.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    masses : (N,) or float
     """
     elastic, dissipative, kinetic = np.zeros((3, 2, 2))
     for c in contacts(state, model):
@@ -134,6 +164,11 @@ def dissipation(state, model):
 
     With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the
     couple that holds the fluid's vorticity.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
     """
     heat = sum(c.heat for c in contacts(state, model)) + model.fluid * state.rate**2 * state.length**2
     for v, spin in zip(peculiar(state), state.spins, strict=True):
@@ -142,12 +177,25 @@ def dissipation(state, model):
 
 
 def inertia(state, masses=1.0):
-    """Return I = mR²/2 of every disk, (N,)."""
+    """Return I = mR²/2 of every disk, (N,).
+
+    Parameters
+    ----------
+    state : State
+    masses : (N,) or float
+    """
     return masses * state.radii**2 / 2
 
 
 def energy(state, model, masses=1.0):
-    """Return elastic (VOT eq. 1), peculiar kinetic and rotational energy, together."""
+    """Return elastic (VOT eq. 1), peculiar kinetic and rotational energy, together.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    masses : (N,) or float
+    """
     total, alpha = 0.0, model.potential.exponent
     for i, j, r, _ in touching(state):
         d = state.radii[i] + state.radii[j]
@@ -157,13 +205,29 @@ def energy(state, model, masses=1.0):
 
 
 def accelerations(state, model, masses=1.0):
-    """Return the acceleration (N, 2) and the angular acceleration (N,) of every disk (VOT eqs. 4 and 7)."""
+    """Return the acceleration (N, 2) and the angular acceleration (N,) of every disk (VOT eqs. 4 and 7).
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    masses : (N,) or float
+    """
     forces, torques = disk_forces(state, model)
     return forces / np.broadcast_to(masses, len(state))[:, None], torques / inertia(state, masses)
 
 
 def moved(state, dt, positions, velocities, spins):
-    """Return the state after ``dt``, the strain advanced."""
+    """Return the state after ``dt``, the strain advanced.
+
+    Parameters
+    ----------
+    state : State
+    dt : float
+        τe.
+    positions, velocities : (N, 2)
+    spins : (N,)
+    """
     return replace(
         state,
         positions=positions,
@@ -175,7 +239,16 @@ def moved(state, dt, positions, velocities, spins):
 
 
 def heun_step(state, model, dt, masses=1.0):
-    """Return the state after one step of VOT eqs. 21–24, two evaluations of the forces."""
+    """Return the state after one step of VOT eqs. 21–24, two evaluations of the forces.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    dt : float
+        τe.
+    masses : (N,) or float
+    """
     x, v, w = state.positions, state.velocities, state.spins
     f, a = accelerations(state, model, masses)
     predicted = moved(state, dt, x + v * dt, v + f * dt, w + a * dt)
@@ -188,6 +261,15 @@ def single_step(state, model, dt, before, masses=1.0):
     """Return the state after one step and its ``accelerations``; ``before`` are those of the last step.
 
     One evaluation a step: v̂ = v + f dt, x + v dt + f dt²/2, f′ of these, v + (f + f′) dt/2.
+
+    Parameters
+    ----------
+    state : State
+    model : Model
+    dt : float
+        τe.
+    before : ((N, 2), (N,))
+    masses : (N,) or float
     """
     x, v, w = state.positions, state.velocities, state.spins
     f, a = before
