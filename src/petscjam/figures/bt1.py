@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from petscjam.plots.figure import STORAGE, save
 from petscjam.plots.modulus import draw_fields
 from petscjam.plots.packing import draw_packing
 from petscjam.rows.damping import ContactDamping
+
+if TYPE_CHECKING:
+    pass
 
 
 def draw(data: FigureData) -> None:

@@ -6,7 +6,7 @@ Axes: i disk, c contact, x Cartesian, d (ux, uy, θ).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from petscjam.response.limits import quasistatic, relax_dissipation
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.damping import ContactDamping
 from petscjam.rows.kinematics import SIMPLE_SHEAR, contact_rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOST_NEIGHBOURS = 6
 
@@ -43,7 +46,7 @@ def _draw(packing: Packing, problem: LinearProblem, q: Any, picture: Path) -> No
     save(figure, picture)
 
 
-def _draw_contacts(axes: Any, problem: LinearProblem, q: Any) -> None:
+def _draw_contacts(axes: Axes, problem: LinearProblem, q: Any) -> None:
     """Draw one disk and its neighbours: how the point of contact of each moves against it."""
     from matplotlib.patches import Circle
 
@@ -74,7 +77,7 @@ def _draw_contacts(axes: Any, problem: LinearProblem, q: Any) -> None:
     axes.set_axis_off()
 
 
-def _draw_drag(axes: Any, packing: Packing, problem: LinearProblem, q: Any) -> None:
+def _draw_drag(axes: Axes, packing: Packing, problem: LinearProblem, q: Any) -> None:
     """Draw every disk with its velocity against the affine flow."""
     box = packing.box
     x = box.wrap(packing.positions)

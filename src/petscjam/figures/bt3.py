@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.rows.damping import ContactDamping, DampingLaw
 
+if TYPE_CHECKING:
+    from petscjam.response.result import ComplexModulus
+
 AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for ω < O(1)"
 
 
@@ -34,7 +37,7 @@ def draw(data: FigureData) -> None:
 
 
 def draw_collapse(
-    page: Page, results: Mapping[str, Any], law: DampingLaw, picture: Path, affine: float = AFFINE
+    page: Page, results: Mapping[str, ComplexModulus], law: DampingLaw, picture: Path, affine: float = AFFINE
 ) -> None:
     """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents (BT fig. 3).
 
@@ -71,7 +74,7 @@ def draw_collapse(
     save(figure, picture)
 
 
-def exponents(page: Page, groups: Mapping[float, list[Any]], how: str, affine: float) -> None:
+def exponents(page: Page, groups: Mapping[float, list[ComplexModulus]], how: str, affine: float) -> None:
     """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime.
 
     Parameters
@@ -99,7 +102,7 @@ def exponents(page: Page, groups: Mapping[float, list[Any]], how: str, affine: f
         page.mean(f"Δ of {name}, {how}", slopes, "1/2", remark)
 
 
-def _collapsed(page: Page, groups: Mapping[float, list[Any]], most: float, how: str) -> None:
+def _collapsed(page: Page, groups: Mapping[float, list[ComplexModulus]], most: float, how: str) -> None:
     """Note μ, λ and Δ = μ/λ of the collapse of G′ and G″ below the frequency ``most``."""
     curves = [
         Curve(some[0].omega[kept], np.array([[g.values.real[kept], g.values.imag[kept]] for g in some]), {"p": x})

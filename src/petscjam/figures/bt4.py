@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,12 @@ from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.rows.damping import ContactDamping
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.analysis.viscosity import Viscosity
+    from petscjam.response.result import ComplexModulus
 
 UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
@@ -47,7 +53,7 @@ def draw(data: FigureData) -> None:
     )
 
 
-def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Mapping[str, Any]], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 10.5), layout="constrained")
@@ -59,7 +65,7 @@ def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     save(figure, picture)
 
 
-def _draw_undamped(page: Page, panels: Any, results: Mapping[str, Any]) -> None:
+def _draw_undamped(page: Page, panels: Sequence[Axes], results: Mapping[str, ComplexModulus]) -> None:
     """Draw β = 0 with pre-stress (circles) and without (lines), raw and collapsed by p^½."""
     for prestress in (True, False):
         groups = by_pressure(results.values(), prestress=prestress)
@@ -88,7 +94,7 @@ def _draw_undamped(page: Page, panels: Any, results: Mapping[str, Any]) -> None:
     panels[1].set_title("(a) collapse by $p^{1/2}$, no rescaling of the frequency", fontsize=10)
 
 
-def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) -> None:
+def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Viscosity]) -> None:
     """Draw G* at one pressure for every β, and the viscosities at both ends against β.
 
     η0 = η0(0) + sβ exactly, and comes from the two that were solved for: at large β the sweep ends too early.
@@ -120,7 +126,7 @@ def _draw_betas(axes: Any, results: Mapping[str, Any], eta0: Mapping[str, Any]) 
     axes.legend(frameon=False, fontsize=7, loc="lower right")
 
 
-def _draw_centres(page: Page, axes: Any, results: Mapping[str, Any]) -> None:
+def _draw_centres(page: Page, axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     """Draw β = 1 with friction at the centres, scaled as if disks rolled."""
     groups = by_pressure(results.values(), prestress=False)
     colour = coloured(list(groups))
@@ -136,12 +142,12 @@ def _draw_centres(page: Page, axes: Any, results: Mapping[str, Any]) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _by_packing(results: Mapping[str, Any], law: ContactDamping) -> dict[str, float]:
+def _by_packing(results: Mapping[str, Viscosity], law: ContactDamping) -> dict[str, float]:
     """Return η0 with pre-stress by the checksum of the packing."""
     return {v.origin.checksum: v.eta0 for v in results.values() if v.damping == law and v.prestress}
 
 
-def _crossover(page: Page, results: Mapping[str, Any]) -> None:
+def _crossover(page: Page, results: Mapping[str, Viscosity]) -> None:
     """Note β* ~ p: η0 = η0(0) + sβ exactly, for θ follows alike at every β; β* is where both are equal."""
     for prestress in (True, False):
         laws = UNDAMPED, ContactDamping()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,11 @@ from petscjam.plots.figure import given, save
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.analysis.nonaffine import QuasistaticResponse
+
 LOW = 1e-3  # where corrections to scaling are smaller
 PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 
@@ -30,7 +35,7 @@ def draw(data: FigureData) -> None:
     on_root(data.comm, _draw, data.page, data.stable(results, "quasi-static responses"), data.picture)
 
 
-def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, QuasistaticResponse], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 9), layout="constrained")
@@ -66,7 +71,7 @@ def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     save(figure, picture)
 
 
-def _draw_energy(axes: Any, p: Any, groups: Mapping[float, list[Any]], prestress: bool) -> None:
+def _draw_energy(axes: Axes, p: Any, groups: Mapping[float, list[QuasistaticResponse]], prestress: bool) -> None:
     """Draw the two terms of BT eq. 4: stretching, and how much of it pre-stress gives back."""
     for name, sign, marker in (("stretching", 1, "o"), ("pre_stress", -1, "v"), ("shear_modulus", 1, "s")):
         mean, error = means([[sign * getattr(r, name) for r in some] for some in groups.values()])

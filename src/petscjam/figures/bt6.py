@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from petscjam.analysis.statistics import grouped
 from petscjam.figures.bt3 import draw_collapse
@@ -14,6 +14,9 @@ from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
 from petscjam.rows.damping import StokesDrag
+
+if TYPE_CHECKING:
+    from petscjam.response.result import ComplexModulus
 
 FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
 
@@ -32,7 +35,7 @@ def draw(data: FigureData) -> None:
     on_root(data.comm, _draw_fluids, data.stable(varied, "varying ηF"), other)
 
 
-def _draw_fluids(results: Mapping[str, Any], picture: Path) -> None:
+def _draw_fluids(results: Mapping[str, ComplexModulus], picture: Path) -> None:
     """Draw G* at one pressure for every viscosity of the fluid."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure

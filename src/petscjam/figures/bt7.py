@@ -5,9 +5,9 @@ Axes: w frequency, d distance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 from petscjam.rows.damping import ContactDamping, StokesDrag
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def draw(data: FigureData) -> None:
@@ -66,7 +69,7 @@ def _draw(
     save(figure, picture)
 
 
-def _draw_contact(page: Page, axes: Any, results: Mapping[str, Any]) -> None:
+def _draw_contact(page: Page, axes: Axes, results: Mapping[str, Any]) -> None:
     """Draw C under contact damping against δ/L, for all sizes and frequencies; note where it crosses zero."""
     sizes = sorted({c.origin.particles for c in results.values()})
     for k, n in enumerate(sizes):
@@ -93,7 +96,7 @@ def _note_lengths(page: Page, mean: CorrelationLength, what: str) -> None:
 
 
 def _draw_stokes(
-    axes: Any, groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength], shown: float
+    axes: Axes, groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength], shown: float
 ) -> None:
     """Draw C under Stokes drag at one pressure, for every second frequency."""
     from matplotlib import colormaps
@@ -112,7 +115,7 @@ def _draw_stokes(
 
 
 def _draw_lengths(
-    page: Page, panels: Any, groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength]
+    page: Page, panels: Sequence[Axes], groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength]
 ) -> None:
     """Draw the length against the frequency for every pressure, raw and rescaled; note the best rescaling."""
     colour = coloured(list(groups))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import given, save
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
+
+if TYPE_CHECKING:
+    from petscjam.analysis.viscosity import Viscosity
 
 EXPONENTS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # the exponent a of the paper for each law
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
@@ -38,7 +41,7 @@ def draw(data: FigureData) -> None:
     on_root(data.comm, _draw, data.page, results, data.picture)
 
 
-def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
+def _draw(page: Page, results: Mapping[str, Viscosity], picture: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 5.6), layout="constrained")
@@ -61,7 +64,7 @@ def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     save(figure, picture)
 
 
-def _curves(results: Mapping[str, Any], law: DampingLaw, prestress: bool) -> dict[int, dict[float, list[float]]]:
+def _curves(results: Mapping[str, Viscosity], law: DampingLaw, prestress: bool) -> dict[int, dict[float, list[float]]]:
     """Return η0 of the packings by number of disks and pressure, two packings or more."""
     sizes = sorted({v.origin.particles for v in results.values()})
     curves = {}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,11 @@ from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 from petscjam.rows.damping import ContactDamping
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.plots.figure import Colour, Colours
 
 AFFINE = 0.05  # ωτα above which the response is no longer critical
 
@@ -68,7 +73,7 @@ def _draw(page: Page, linear: Mapping[str, Any], contacts: Mapping[float, Any], 
     save(figure, picture)
 
 
-def _draw_mean(axes: Any, some: list[NonlinearModulus], colour: Any, form: str, label: str) -> None:
+def _draw_mean(axes: Axes, some: list[NonlinearModulus], colour: Colour, form: str, label: str) -> None:
     omega, mean = some[0].omega, np.mean([g.values for g in some], axis=0)
     for part, face, line in ((mean.real, colour, "-"), (mean.imag, "white", "--")):
         if form == "per contact":
@@ -77,7 +82,7 @@ def _draw_mean(axes: Any, some: list[NonlinearModulus], colour: Any, form: str, 
             axes.loglog(omega, part, line, lw=1.2, color=colour)
 
 
-def _draw_ratio(axes: Any, uniform: Mapping[float, Any], contacts: Mapping[float, Any], colour: Any) -> None:
+def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[float, Any], colour: Colours) -> None:
     """Draw the moduli of one time for all over those with a time for each contact."""
     for p, some in contacts.items():
         ours, theirs = (np.mean([g.values for g in found], axis=0) for found in (some, uniform[p]))

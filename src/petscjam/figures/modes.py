@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,11 @@ from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
 from petscjam.plots.nonaffine import LABELS, STYLES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.plots.figure import Colours
 
 WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
 
@@ -66,7 +71,7 @@ def _draw(page: Page, modes: Mapping[str, Any], density: Mapping[str, Any], pict
     save(figure, picture)
 
 
-def _draw_needed(page: Page, axes: Any, groups: Mapping[float, list[ModeSum]]) -> None:
+def _draw_needed(page: Page, axes: Axes, groups: Mapping[float, list[ModeSum]]) -> None:
     """Draw how many modes it takes, and note how that number depends on p."""
     p = np.array(list(groups))
     for k, motion in enumerate(MOTIONS):
@@ -83,7 +88,7 @@ def _draw_needed(page: Page, axes: Any, groups: Mapping[float, list[ModeSum]]) -
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_density(page: Page, axes: Any, groups: Mapping[float, list[Any]], colour: Any) -> None:
+def _draw_density(page: Page, axes: Axes, groups: Mapping[float, list[Any]], colour: Colours) -> None:
     """Draw the mean density of states over packings; note its plateau, and the onset ω* of this."""
     found = {p: [plateau(r) for r in some] for p, some in groups.items()}
     known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}

@@ -5,15 +5,20 @@ Axes: w frequency, k packing.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from petscjam.analysis.statistics import standard_error
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.plots.figure import Colour
+
 
 def draw_mean(
-    axes: Any, some: list[Any], colour: Any, label: str, *, x: float = 1.0, y: float = 1.0, most: float = np.inf
+    axes: Axes, some: list[Any], colour: Colour, label: str, *, x: float = 1.0, y: float = 1.0, most: float = np.inf
 ) -> None:
     """Draw the means of G′ (filled) and G″ (open) over packings, and their standard errors, rescaled.
 
@@ -38,7 +43,7 @@ def draw_mean(
         axes.fill_between(omega, low, mean + error, color=colour, alpha=0.2, lw=0)
 
 
-def guide(axes: Any, x: tuple[float, float], y: float, slope: float, text: str) -> None:
+def guide(axes: Axes, x: tuple[float, float], y: float, slope: float, text: str) -> None:
     """Draw the power law y·(x/x[0])^slope as a straight line, and write ``text`` beside it.
 
     Parameters

@@ -6,7 +6,7 @@ Axes: w frequency.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from petscjam.analysis.statistics import Kind, alike
 from petscjam.plots.figure import given, solids
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 CURVES = 7  # at most, in a panel
@@ -43,7 +44,7 @@ def correlations_figure(results: Mapping[str, Correlations]) -> Figure:
     return figure
 
 
-def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
+def _draw_curves(axes: Axes, some: Mapping[str, Correlations]) -> None:
     """Draw the mean of C at frequencies spread evenly over those there are, from the lowest (dark) up."""
     from matplotlib import colormaps
 
@@ -65,7 +66,7 @@ def _draw_curves(axes: Any, some: Mapping[str, Correlations]) -> None:
     axes.legend(title=r"$\omega\tau_1$", frameon=False, fontsize=8)
 
 
-def _draw_lengths(axes: Any, kinds: Mapping[Kind, Mapping[str, Correlations]]) -> None:
+def _draw_lengths(axes: Axes, kinds: Mapping[Kind, Mapping[str, Correlations]]) -> None:
     """Draw where the mean of C at peak stress crosses zero, with its error."""
     for (law, prestress, n, p, _), some in kinds.items():
         mean = correlation_length(some, unstable=True)

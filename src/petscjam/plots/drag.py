@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from petscjam.analysis.drag import NonlinearModulus
 from petscjam.plots.figure import UNSTABLE, given
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 STYLE = {"uniform": "--", "per contact": "-"}
@@ -51,7 +52,7 @@ def drag_figure(results: Mapping[str, NonlinearModulus]) -> Figure:
     return figure
 
 
-def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:
+def _draw(panels: Sequence[Axes], g: NonlinearModulus, shade: Any) -> None:
     rising = np.argsort(g.omega)
     omega, style = g.omega[rising], STYLE[g.form]
     for axes, values in zip(panels, (g.values.real, g.values.imag, g.tau), strict=True):
@@ -63,7 +64,7 @@ def _draw(panels: Any, g: NonlinearModulus, shade: Any) -> None:
         panels[2].fill_between(omega, g.tau[rising] / factor, g.tau[rising] * factor, color=shade, alpha=0.15, lw=0)
 
 
-def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
+def _guides(axes: Axes, alike: list[NonlinearModulus]) -> None:
     """Draw the slopes beside G″ that are expected: quasi-static, and where G′ ≈ G″."""
     first, last = min(alike, key=lambda g: g.stress), max(alike, key=lambda g: g.stress)
     if len(first.omega) < 3 or first.alpha == 1:
@@ -77,5 +78,5 @@ def _guides(axes: Any, alike: list[NonlinearModulus]) -> None:
         guide = above * abs(g.values.imag[at]) * (span / span[0]) ** slope
         axes.loglog(span, guide, STYLE[g.form], color="0.5", lw=1)
         end, shift, side = (1, (-4, 0), "right") if above > 1 else (0, (6, -10), "left")
-        style = {"color": "0.4", "fontsize": 8, "textcoords": "offset points", "ha": side}
+        style: dict[str, Any] = {"color": "0.4", "fontsize": 8, "textcoords": "offset points", "ha": side}
         axes.annotate(f"slope ${text}$", (span[end], guide[end]), shift, **style)

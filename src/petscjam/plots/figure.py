@@ -16,8 +16,12 @@ from petscjam.base.types import Array
 from petscjam.geometry.box import Box
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure
+
+Colour = str | tuple[float, float, float, float]
+Colours = Callable[[float], Colour]  # of each pressure
 
 STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
@@ -69,7 +73,7 @@ def given(prestress: bool) -> str:
     return f"with{'' if prestress else 'out'} pre-stress"
 
 
-def pressure_colours(pressures: Sequence[float]) -> Callable[[float], Any]:
+def pressure_colours(pressures: Sequence[float]) -> Colours:
     """Return the colour of a pressure: darker where it is lower."""
     from matplotlib import colormaps
 
@@ -77,7 +81,7 @@ def pressure_colours(pressures: Sequence[float]) -> Callable[[float], Any]:
     return lambda p: colormaps["viridis"](0.9 * (np.log(p) - low) / (high - low) if high > low else 0.4)
 
 
-def arrows(axes: Any, x: Array, u: Array, **style: Any) -> None:
+def arrows(axes: Axes, x: Array, u: Array, **style: Any) -> None:
     """Draw arrows in units of the axes.
 
     Parameters
@@ -92,7 +96,7 @@ def arrows(axes: Any, x: Array, u: Array, **style: Any) -> None:
     axes.quiver(*x.T, *u.T, angles="xy", scale_units="xy", scale=1, **style)
 
 
-def draw_cell(axes: Any, box: Box, part: float = 1.0) -> None:
+def draw_cell(axes: Axes, box: Box, part: float = 1.0) -> None:
     """Draw the edges of the cell, or of its middle.
 
     Parameters
@@ -107,7 +111,7 @@ def draw_cell(axes: Any, box: Box, part: float = 1.0) -> None:
     axes.plot(*(box.cell.sum(0) / 2 + part * corners @ box.cell).T, color="0.6", lw=0.8)
 
 
-def disks(axes: Any, centres: Array, radii: Array, **style: Any) -> EllipseCollection:
+def disks(axes: Axes, centres: Array, radii: Array, **style: Any) -> EllipseCollection:
     """Return disks in units of the axes, not added to them.
 
     Parameters

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.potential import potential
 from petscjam.plots.figure import UNSTABLE, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 COLUMNS = ("particles", "pressure", "target", "phi", "Z", "rattlers", "contacts", "lowest_eigenvalue", "proved")
 MARKERS = "osD^vP*X"
@@ -150,7 +154,7 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> str:
     return f"{len(rows)} packing{'' if len(rows) == 1 else 's'}: {judged}{left_out}"
 
 
-def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> None:
+def _draw_excess(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any], a: float) -> None:
     curves = [(size, size.excess, f"N = {size.particles}") for size in sizes]
     _draw_curves(axes, curves, colour, "with no contact to spare, no dot")
     axes.set_ylabel(r"$Z - Z_\mathrm{iso}$,  $Z_\mathrm{iso} = 4 - 2/N'$")
@@ -176,7 +180,7 @@ def _draw_excess(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> No
     axes.legend(loc="upper left", frameon=False, fontsize=9)
 
 
-def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> None:
+def _draw_density(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any], a: float) -> None:
     curves, fits, without = [], [], []
     for size in sizes:
         (p, _), (mean, error) = size.mean(size.p), size.mean(size.phi)
@@ -207,7 +211,7 @@ def _draw_density(axes: Any, sizes: Sequence[_Size], colour: Any, a: float) -> N
 
 
 def _draw_curves(
-    axes: Any, curves: Sequence[tuple[_Size, Array, str]], colour: Any, hidden: str, log: bool = True
+    axes: Axes, curves: Sequence[tuple[_Size, Array, str]], colour: Callable[..., Any], hidden: str, log: bool = True
 ) -> None:
     """Draw values of (k,) packings against their pressures, and their means."""
     p = np.concatenate([size.p for size, _, _ in curves])
@@ -215,7 +219,7 @@ def _draw_curves(
     if log:
         axes.set_yscale("log", nonpositive="clip")
         axes.set_ylim(_span(curves))
-    bar = {"mec": "0.15", "mew": 0.6, "ecolor": "0.15", "elinewidth": 1, "ms": 6.5, "zorder": 4}
+    bar: dict[str, Any] = {"mec": "0.15", "mew": 0.6, "ecolor": "0.15", "elinewidth": 1, "ms": 6.5, "zorder": 4}
     out = 0
     for size, values, label in curves:
         fine = (values > 0) | (not log)
@@ -246,7 +250,7 @@ def _span(curves: Sequence[tuple[_Size, Array, str]]) -> tuple[float, float]:
     return low / 2, 2 * dots.max() * (dots.max() / low) ** 0.25
 
 
-def _draw_lowest(panels: Sequence[Any], sizes: Sequence[_Size], colour: Any) -> None:
+def _draw_lowest(panels: Sequence[Axes], sizes: Sequence[_Size], colour: Callable[..., Any]) -> None:
     """Draw the fraction of packings whose lowest frequency lies below ω, for each N and target."""
     values = np.concatenate([size.eigenvalue[size.sound] for size in sizes])
     values = np.sqrt(values[values > 0]) if (values > 0).any() else np.ones(1)
@@ -275,7 +279,7 @@ def _draw_lowest(panels: Sequence[Any], sizes: Sequence[_Size], colour: Any) -> 
     panels[-1].set_xlabel(r"lowest frequency $\omega = \lambda^{1/2}$")
 
 
-def _guide(axes: Any, law: Callable[[Array], Array], text: str) -> None:
+def _guide(axes: Axes, law: Callable[[Array], Array], text: str) -> None:
     """Draw a slope below the data, over the upper half of the pressures."""
     low, high = np.log(axes.get_xlim())
     p = np.exp(np.array([0.5 * (low + high), 0.1 * low + 0.9 * high]))

@@ -12,7 +12,8 @@ from petscjam.response.modes import Modes
 from petscjam.response.relaxations import RelaxationModes
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
 
 DRAWN = 4
 NAMED = 6  # packings, beyond which a legend says nothing
@@ -58,7 +59,7 @@ def relaxations_figure(results: Mapping[str, RelaxationModes]) -> Figure:
     return figure
 
 
-def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:
+def _draw_vectors(figure: FigureBase, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:
     """Draw modes as arrows, of the same mean length in each panel unless the longest would be too long."""
     packing, panels = m.geometry, figure.subplots(2, DRAWN // 2)
     x = packing.box.wrap(packing.positions)[m.disks]
@@ -74,7 +75,7 @@ def _draw_vectors(figure: Any, m: Modes | RelaxationModes, titles: Sequence[str]
         axes.set_title(title, fontsize=9)
 
 
-def _draw_spectra(panels: Any, results: Mapping[str, Modes]) -> None:
+def _draw_spectra(panels: Sequence[Axes], results: Mapping[str, Modes]) -> None:
     from matplotlib import colormaps
 
     few = len(results) <= NAMED

@@ -15,7 +15,8 @@ from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
 
 
 def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
@@ -44,7 +45,7 @@ def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
     return figure
 
 
-def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
+def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     one = len(results) == 1
     for g in results.values():
         rising = np.argsort(g.omega)
@@ -82,7 +83,7 @@ def _draw_moduli(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
 
 
-def _draw_limits(axes: Any, g: ComplexModulus) -> None:
+def _draw_limits(axes: Axes, g: ComplexModulus) -> None:
     """Draw the limits of G′ and G″ at ω → 0 and ω → ∞."""
     low, high = g.omega.min(), g.omega.max()
     for limit, slope, end, colour, text, shift in (
@@ -98,7 +99,7 @@ def _draw_limits(axes: Any, g: ComplexModulus) -> None:
             axes.annotate(text, (span[0], values[0]), shift, color=colour, textcoords="offset points", ha=side)
 
 
-def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
+def _draw_means(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     """Draw mean ± standard error over stable packings of one size and pressure under one law."""
     for some in alike({name: g for name, g in results.items() if g.stable}).values():
         if len(some) < 3:
@@ -112,7 +113,7 @@ def _draw_means(axes: Any, results: Mapping[str, ComplexModulus]) -> None:
             axes.fill_between(mean.omega[rising], centre - error, centre + error, color=colour, alpha=0.25, lw=0)
 
 
-def _draw_errors(axes: Any, model: Spectrum) -> None:
+def _draw_errors(axes: Axes, model: Spectrum) -> None:
     """Draw the bounds on the errors of G*, G′ and G″, and where K + iωB was factored."""
     omega = np.geomspace(*model.span, 801)
     storage, loss = model.part_errors(omega)
@@ -128,7 +129,7 @@ def _draw_errors(axes: Any, model: Spectrum) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_time(axes: Any, model: Spectrum) -> None:
+def _draw_time(axes: Axes, model: Spectrum) -> None:
     """Draw the relaxation modulus G(t) and the creep compliance J(t)."""
     t = np.geomspace(1 / model.span[1], 1 / model.span[0], 401)
     axes.set_title("after a step of strain, of stress", fontsize=9)
@@ -143,7 +144,7 @@ def _draw_time(axes: Any, model: Spectrum) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _guides(axes: Any, g: ComplexModulus) -> None:
+def _guides(axes: Axes, g: ComplexModulus) -> None:
     """Draw slopes 1 and ½ beside G″."""
     spans = {1.0: g.omega.min() * np.array([30, 3e3]), 0.5: np.array([3e-3, 0.3])}
     for slope, span in spans.items():
@@ -157,7 +158,7 @@ def _guides(axes: Any, g: ComplexModulus) -> None:
             axes.annotate(text, end, (4, -8), color="0.4", textcoords="offset points", fontsize=9)
 
 
-def draw_fields(figure: Any, g: ComplexModulus, most: int = 2500) -> None:
+def draw_fields(figure: FigureBase, g: ComplexModulus, most: int = 2500) -> None:
     """Draw Im Q* (zero stress) above Re Q* (peak stress), Q* = (δσ/G*)(q, 1); each panel on its own scale.
 
     Parameters

@@ -15,6 +15,7 @@ from petscjam.analysis.statistics import by_pressure, grouped, means, nominal
 from petscjam.plots.figure import LOSS, STORAGE, arrows, draw_cell, given, pressure_colours, solids
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LABELS = {
@@ -45,7 +46,7 @@ def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
     return figure
 
 
-def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
+def draw_distribution(axes: Axes, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
     """Draw the probability density of the logarithm of a motion, one line for each pressure.
 
     Parameters
@@ -71,7 +72,7 @@ def draw_distribution(axes: Any, results: list[QuasistaticResponse], motion: str
         axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
 
 
-def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
+def _draw_scaling(axes: Axes, results: list[QuasistaticResponse]) -> None:
     for motion in MOTIONS:
         colour, marker = STYLES[motion]
         for prestress in (True, False):
@@ -88,7 +89,7 @@ def _draw_scaling(axes: Any, results: list[QuasistaticResponse]) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def draw_field(axes: Any, r: QuasistaticResponse) -> None:
+def draw_field(axes: Axes, r: QuasistaticResponse) -> None:
     """Draw u_na as arrows, the root mean square as long as 1.6 spacings of disks.
 
     Parameters

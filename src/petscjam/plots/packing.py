@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, disks, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
 
 SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
 RATTLER, CAGED = "#7a5c00", "#fbeeb8"
@@ -60,7 +64,7 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
     save(figure, path, dpi=200)
 
 
-def draw_packing(axes: Any, packing: Packing, size: float) -> None:
+def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
     """Draw a packing.
 
     Parameters
@@ -127,7 +131,7 @@ def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
     return LineCollection(ends, colors=FORCE, capstyle="round", linewidths=widths, zorder=3)
 
 
-def _caption(axes: Any, packing: Packing, network: ContactNetwork, fontsize: float) -> None:
+def _caption(axes: Axes, packing: Packing, network: ContactNetwork, fontsize: float) -> None:
     """Write what the packing is, and whether it is a proved minimum."""
     verdict, colour = VERDICTS[packing.certificate.proved]
     if not network.balanced:
@@ -139,7 +143,7 @@ def _caption(axes: Any, packing: Packing, network: ContactNetwork, fontsize: flo
         fontsize=fontsize,
         pad=2 * fontsize,
     )
-    place = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "center"}
+    place: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "center"}
     axes.annotate(verdict, (0.5, 1), (0, 5), color=colour, fontsize=fontsize, **place)
 
 
@@ -154,7 +158,7 @@ def _history(packing: Packing) -> dict[str, Array] | None:
     return columns if len(shapes) == 1 and columns["phi"].ndim == 1 and columns["phi"].size > 1 else None
 
 
-def _draw_history(figure: Any, history: Mapping[str, Array], target: float | None) -> None:
+def _draw_history(figure: FigureBase, history: Mapping[str, Array], target: float | None) -> None:
     """Draw pressure, largest force and packing fraction against force evaluations."""
     panels = figure.subplots(3, 1, sharex=True)
     evaluations = history["evaluations"]
@@ -173,7 +177,7 @@ def _draw_history(figure: Any, history: Mapping[str, Array], target: float | Non
         axes.spines[["top", "right"]].set_visible(False)
     if target is not None:
         panels[0].axhline(target, color="0.3", lw=0.9, ls="--", zorder=0)
-        place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+        place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
         panels[0].annotate(f"target {target:.3g}", (1, target), (0, 4), color="0.3", fontsize=9, **place)
     panels[0].set_title("Preparation", fontsize=10)
     panels[2].set_xlabel("force evaluations")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,11 @@ from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, disks, save
 from petscjam.plots.packing import OUTLINED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
+
 
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
 DEFAULT = "harmonic-relative"  # VOT's: not told
@@ -46,7 +51,7 @@ def _model(name: str) -> str:
     return rf"{head}$_\mathrm{{{index}}}$" if index and index.isalpha() else name
 
 
-def _warn(figure: Any, texts: Sequence[str]) -> None:
+def _warn(figure: FigureBase, texts: Sequence[str]) -> None:
     """Write warnings below the panels."""
     if texts:
         figure.supxlabel("\n".join(f"warning: {text}" for text in texts), color="#b00020", fontsize=9)
@@ -86,7 +91,7 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
     save(figure, path)
 
 
-def _draw_series(panels: Any, run: Run) -> None:
+def _draw_series(panels: Sequence[Axes], run: Run) -> None:
     stresses, contacts, friction, energy = panels
     strain = np.append(run.settings.strain0, run.strain)
     to_and_fro = not (np.diff(strain) > 0).all() and not (np.diff(strain) < 0).all()
@@ -122,7 +127,7 @@ def _draw_series(panels: Any, run: Run) -> None:
         axes.set(xlabel=label, xlim=sorted((start, x[-1])))
 
 
-def _draw_profiles(panels: Any, run: Run) -> None:
+def _draw_profiles(panels: Sequence[Axes], run: Run) -> None:
     """Draw vx(y), its slope and φ(y) (VOT fig. 28), and two bands where they fit far better than one."""
     p = profile(run)
     for axes, values, error, colour, label, mean in (
@@ -166,7 +171,7 @@ def _two_bands(run: Run) -> Bands | None:
     return found if found.two < found.one / 3 and abs(found.rates[0]) > 2 * abs(found.rates[1]) else None
 
 
-def _draw_angles(axes: Any, run: Run) -> None:
+def _draw_angles(axes: Axes, run: Run) -> None:
     """Draw P(ϑ) at making and breaking of contacts (VOT fig. 8)."""
     kept = blocks_after(run)
     made, broken = (run.blocks[key][kept].sum(0).astype(float) for key in ("making", "breaking"))
@@ -187,7 +192,7 @@ def _draw_angles(axes: Any, run: Run) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _draw_velocities(panels: Any, run: Run, most: int = 5000) -> None:
+def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None:
     """Draw how the velocities of contacts go together, mean and principal axes (VOT fig. 21)."""
     kept = blocks_after(run)
     points = run.blocks["scatter"][kept].reshape(-1, 4)
@@ -216,7 +221,7 @@ def _draw_velocities(panels: Any, run: Run, most: int = 5000) -> None:
     panels[2].set_title(r"contacts: velocity differences in units of $d_s\dot\gamma$", fontsize=9)
 
 
-def _draw_means(axes: Any, run: Run) -> None:
+def _draw_means(axes: Axes, run: Run) -> None:
     axes.set_axis_off()
     lines = ["time means after a quarter of the strain", ""]
     if run.after().sum() < 2:
@@ -275,7 +280,7 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
     save(figure, path, dpi=200)
 
 
-def _draw_disks(axes: Any, state: State, values: Array, colours: str, disk: Any, centre: Array) -> Any:
+def _draw_disks(axes: Axes, state: State, values: Array, colours: str, disk: Any, centre: Array) -> Any:
     many = len(state) > OUTLINED
     style = {"array": values[disk], "cmap": colours, "linewidths": 0, "edgecolors": "none"}
     drawn = disks(axes, centre, state.radii[disk], **style)
@@ -328,7 +333,7 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
     save(figure, path)
 
 
-def _draw_slopes(axes: Any, rate: Array, values: Array) -> None:
+def _draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
     """Draw slope 2 below the slow end and slope 1 above the fast one: Bagnoldian and Newtonian flow."""
     low, high = rate.min(), rate.max()
     span = (high / low) ** 0.35
