@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,9 @@ from petscjam.response.matrices import assembled
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.kinematics import displacements
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat
 
 ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
 WEIGHTINGS = 20  # steps that tighten the bound on λ
@@ -241,7 +244,7 @@ def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
     return field / np.linalg.norm(field)
 
 
-def chebyshev(twice_X: Any, start: NDArray[np.complex128], count: int, comm: Comm) -> Array:
+def chebyshev(twice_X: Mat, start: NDArray[np.complex128], count: int, comm: Comm) -> Array:
     """Return the moments ⟨v, T_m(X) v⟩, (2, count), of the real and the imaginary part of ``start``.
 
     With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The ranks' shares

@@ -354,7 +354,7 @@ def _check_sizes(file: h5py.File, length: int) -> None:
     """Refuse datasets that are larger than a file of ``length`` bytes can contain."""
     import h5py
 
-    def check(name: str, node: Any) -> None:
+    def check(name: str, node: h5py.Group | h5py.Dataset) -> None:
         if isinstance(node, h5py.Dataset) and node.size:
             stored = min(length, node.id.get_storage_size())
             asked, held = node.size * node.dtype.itemsize, stored * (RATIO if node.chunks else 1)

@@ -6,7 +6,6 @@ import argparse
 import tomllib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Any
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import naming
@@ -39,7 +38,12 @@ def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[An
         return _words(path, argv, options, exclusive)
 
 
-def _words(path: str, argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
+def _words(
+    path: str,
+    argv: list[str],
+    options: Mapping[str, argparse.Action],
+    exclusive: Iterable[argparse._MutuallyExclusiveGroup],
+) -> list[str]:
     with open(path, "rb") as file:
         try:
             content = tomllib.load(file)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petscjam.base.errors import DoubtfulWarning, InputError, SolverError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import say
 from petscjam.parallel.comm import Comm, on_root
+
+if TYPE_CHECKING:
+    from petscjam.md.protocols import Protocol
 
 
 def shear(options: argparse.Namespace, comm: Any) -> None:
@@ -46,7 +50,7 @@ def ramp(options: argparse.Namespace, comm: Any) -> None:
     _work(options, comm, protocol, options.rate or [1e-6])
 
 
-def _work(options: argparse.Namespace, comm: Comm, protocol: Any, rates: list[float]) -> None:
+def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], Protocol], rates: list[float]) -> None:
     from petscjam.base.progress import progress
     from petscjam.md.grid import grid, run_grid
     from petscjam.md.runs import run

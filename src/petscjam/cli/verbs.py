@@ -10,12 +10,16 @@ from contextlib import ExitStack, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.files import naming
 from petscjam.cli.laws import chosen_laws
 from petscjam.parallel.comm import Comm, on_root
+
+if TYPE_CHECKING:
+    from petscjam.geometry.packing import Packing
+    from petscjam.preparation.library import Recipe
 
 
 def say(comm: Comm, text: str) -> None:
@@ -74,7 +78,7 @@ def prepare(options: argparse.Namespace, comm: Comm) -> None:
         raise SolverError(f"{len(failed)} packings failed; --resume tries them again:{lines}")
 
 
-def _prepare_one(options: argparse.Namespace, recipe: Any, comm: Comm) -> None:
+def _prepare_one(options: argparse.Namespace, recipe: Recipe, comm: Comm) -> None:
     from petscjam.base.files import check_output
     from petscjam.base.progress import progress
     from petscjam.geometry.packing import Packing
@@ -105,7 +109,7 @@ def _seed(options: argparse.Namespace) -> int:
     return 1 if options.seed is None else options.seed
 
 
-def _in_short(packing: Any) -> str:
+def _in_short(packing: Packing) -> str:
     verdict = {None: "not judged", True: "proved minimum", False: "not a proved minimum"}
     return f"{len(packing)} disks, phi = {packing.phi:.6f}, {verdict[packing.certificate.proved]}"
 
@@ -168,7 +172,7 @@ def import_(options: argparse.Namespace, comm: Any) -> None:
     on_root(comm, work)
 
 
-def _measured(packing: Any) -> str:
+def _measured(packing: Packing) -> str:
     from petscjam.geometry.network import ContactNetwork
 
     network = ContactNetwork.of(packing)

@@ -28,6 +28,7 @@ from petscjam.parallel.memory import available_memory, factor_memory
 from petscjam.parallel.teams import Team, deal
 from petscjam.response.family import LARGEST_BETA, beta_family
 from petscjam.response.moduli import complex_modulus
+from petscjam.response.origin import Result
 from petscjam.response.reduced import spectrum
 from petscjam.response.result import ComplexModulus
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
@@ -61,7 +62,7 @@ class Ensemble:
 
     files: Sequence[Path]
     output: str | PathLike[str]
-    laws: Sequence[DampingLaw | None] = (None,)
+    laws: Sequence[Any] = (None,)
     prestress: Sequence[bool] = (True,)
     team_size: int | None = None
     resume: bool = False
@@ -130,7 +131,7 @@ class Analysis(ABC):
         """Return the results in the output, or raise an error if they were made with other settings."""
 
     @abstractmethod
-    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
+    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Result]]:
         """Yield each law and its result. Collective.
 
         Parameters
@@ -194,7 +195,7 @@ class PackingAnalysis(Analysis):
                 )
         return {(item.checksum, item.damping, item.prestress) for item in items}
 
-    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Any]]:
+    def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, Result]]:
         """Yield the result for each law.
 
         Parameters
@@ -402,7 +403,7 @@ class _Work:
                 self.log(self.analysis.line(name, result, time.perf_counter() - start, before))
             start, before = time.perf_counter(), result
 
-    def _results(self, job: Job, team: Team, report: Report | None) -> Iterator[tuple[Any, Any]]:
+    def _results(self, job: Job, team: Team, report: Report | None) -> Iterator[tuple[Any, Result]]:
         """Yield each law and its result; an error names the file of the packing."""
         packing: Packing = on_root(team.comm, import_packing, job.file)
         common = {"prestress": job.prestress, "comm": team.comm, "name": job.name, "progress": report}

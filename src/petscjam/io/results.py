@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import Field, asdict, fields
 from os import PathLike, path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import LAWS, DampingLaw
 from petscjam.rows.kinematics import strain_mode
+
+if TYPE_CHECKING:
+    import h5py
 
 SCHEMA = 2
 SETTINGS = ("strain", "damping", "prestress")
@@ -44,7 +47,7 @@ def group_name(packing: Packing, name: str) -> str:
 
 
 def append_result(
-    result: Any, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = "", made_with: str = ""
+    result: Result, file: str | PathLike[str], group: str, *, fresh: bool = False, run: str = "", made_with: str = ""
 ) -> None:
     """Add ``result``, of one of the ``KINDS``, to ``file`` as ``group``; the file is complete at every moment.
 
@@ -232,12 +235,12 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
     return model
 
 
-def _write_fields(node: Any, result: Result) -> None:
+def _write_fields(node: h5py.Group, result: Result) -> None:
     for item in fields(result):
         _write(node, item.name, getattr(result, item.name), item.metadata.get("unit"))
 
 
-def _write(node: Any, name: str, value: Any, unit: str | None = None) -> None:
+def _write(node: h5py.Group, name: str, value: Any, unit: str | None = None) -> None:
     if isinstance(value, np.ndarray):
         node[name] = value
         if unit:
@@ -267,7 +270,7 @@ def _write(node: Any, name: str, value: Any, unit: str | None = None) -> None:
             node.attrs[f"{name} unit"] = unit
 
 
-def _read_model(node: Any) -> Spectrum:
+def _read_model(node: h5py.Group) -> Spectrum:
     values = _values(node, Spectrum)
     if "rounding_only" not in node.attrs:  # an older file: it has no error bound if the residual is a rounding error
         values["rounding_only"] = False
@@ -276,7 +279,7 @@ def _read_model(node: Any) -> Spectrum:
     return Spectrum(**{**values, **pairs})
 
 
-def _values(node: Any, kind: type[Result]) -> dict[str, Any]:
+def _values(node: h5py.Group, kind: type[Result]) -> dict[str, Any]:
     there = {*node, *node.attrs, "origin", "rounding_only"}
     if missing := {item.name for item in fields(kind) if item.name not in there and not _may_be_none(item)}:
         raise InputError(f"{node.name} lacks {', '.join(sorted(missing))}")
@@ -303,7 +306,7 @@ def _may_be_none(item: Field[Any]) -> bool:
     return "None" in str(item.type)
 
 
-def _value(node: Any, item: Field[Any]) -> Any:
+def _value(node: h5py.Group, item: Field[Any]) -> Any:
     if item.name == "origin":
         return _origin(node)
     if item.name not in node:
@@ -322,7 +325,7 @@ def _value(node: Any, item: Field[Any]) -> Any:
     return {key: _plain(value) for key, value in inside.attrs.items()}
 
 
-def _origin(node: Any) -> Origin:
+def _origin(node: h5py.Group) -> Origin:
     packing = {key: value for key, value in node["packing"].attrs.items() if key in ORIGIN}
     settings = {key: node.attrs[key] for key in ("strain", "prestress", "versions") if key in node.attrs}
     values = {key: _plain(value) for key, value in {**packing, **settings}.items()}

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from petscjam.md.observables import (
 from petscjam.md.protocols import Protocol
 from petscjam.md.result import MISSED, Run, check_arrays, write_run
 from petscjam.md.settings import Settings
+
+if TYPE_CHECKING:
+    import h5py
 
 EVERY = 30.0  # seconds between two checkpoints on disk
 
@@ -227,7 +230,7 @@ class Recorder:
                 node[name] = value
 
 
-def read_checkpoint(h5: Any, shapes: Mapping[str, str]) -> dict[str, Any]:
+def read_checkpoint(h5: h5py.Group, shapes: Mapping[str, str]) -> dict[str, Any]:
     """Return what a run needs to go on (:meth:`Recorder.write`) from an open HDF5 file.
 
     Parameters

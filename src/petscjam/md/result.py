@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ from petscjam.base.types import Array
 from petscjam.md.observables import BLOCKS, ROWS, AbsentError, Block, Observed, Row
 from petscjam.md.settings import Settings
 from petscjam.md.state import State
+
+if TYPE_CHECKING:
+    import h5py
 
 FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
 MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
@@ -244,7 +247,7 @@ def is_run(path: str | PathLike[str]) -> bool:
     return h5_format(path) == FORMAT
 
 
-def write_run(h5: Any, run: Run) -> None:
+def write_run(h5: h5py.Group, run: Run) -> None:
     """Write ``run`` into an open HDF5 file.
 
     Parameters
@@ -269,7 +272,7 @@ def write_run(h5: Any, run: Run) -> None:
     node.attrs.update({key: getattr(run.state, key) for key in ("length", "strain", "rate", "time")})
 
 
-def read_run(h5: Any) -> Run:
+def read_run(h5: h5py.Group) -> Run:
     """Return the run of an open HDF5 file, with the observables that it has."""
     if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in (1, SCHEMA):
         raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with schema {SCHEMA}")
@@ -288,7 +291,7 @@ def read_run(h5: Any) -> Run:
     return Run(settings, rows, blocks, state)
 
 
-def _arrays(node: Any, known: Mapping[str, Any]) -> dict[str, Array]:
+def _arrays(node: h5py.Group, known: Mapping[str, Any]) -> dict[str, Array]:
     """Return the arrays of a group, those that are known first, in their order."""
     names = [*(name for name in known if name in node), *(name for name in node if name not in known)]
     return {name: node[name][()] for name in names}

@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ from petscjam.parallel.comm import Comm, on_root, total
 from petscjam.parallel.matrix import apply_real
 from petscjam.parallel.memory import give_back_memory
 from petscjam.parallel.petsc import destroying, petsc, slepc, stage
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat, Vec
+    from slepc4py.SLEPc import EPS
 
 TOLERANCE = 1e-10
 RESTARTS = 10_000
@@ -203,11 +207,11 @@ def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: 
 
 
 def lowest_pairs(
-    K: Any,
+    K: Mat,
     count: int,
     shift: float,
     *,
-    leave_out: Sequence[NDArray[Any]] = (),
+    leave_out: Sequence[Array] = (),
     known: Array | None = None,
     prefix: str = "petscjam_modes_",
 ) -> Pairs:
@@ -249,7 +253,7 @@ def lowest_pairs(
     return _solved(eps, K, None, count, leave_out, known, prefix)
 
 
-def pencil_pairs(A: Any, M: Any, count: int, *, known: Array | None = None, prefix: str) -> Pairs:
+def pencil_pairs(A: Mat, M: Mat, count: int, *, known: Array | None = None, prefix: str) -> Pairs:
     """Return the lowest x of A v = x M v, ascending.
 
     Parameters
@@ -280,7 +284,7 @@ def pencil_pairs(A: Any, M: Any, count: int, *, known: Array | None = None, pref
 
 
 def _solved(
-    eps: Any, A: Any, metric: Any, count: int, leave_out: Sequence[NDArray[Any]], known: Array | None, prefix: str
+    eps: EPS, A: Mat, metric: Mat | None, count: int, leave_out: Sequence[Array], known: Array | None, prefix: str
 ) -> Pairs:
     """Solve, with MUMPS LDLᵀ unless the options say otherwise; return the pairs known and found.
 
@@ -326,7 +330,7 @@ def _failing_in_words() -> Iterator[None]:
         raise SolverError(f"SLEPc failed: {error}") from error
 
 
-def _real_pairs(A: Any, metric: Any, V: Array, count: int) -> Pairs:
+def _real_pairs(A: Mat, metric: Mat | None, V: Array, count: int) -> Pairs:
     """Return the lowest pairs in the span of ``V`` by Rayleigh–Ritz, orthonormal in ``metric``."""
     comm = A.comm.tompi4py()
     for _ in range(2):  # the second pass removes the rounding errors of the first
@@ -347,12 +351,12 @@ def _residuals(AV: Array, MV: Array, values: Array, comm: Comm) -> Array:
     return left / size
 
 
-def _metric(metric: Any, V: Array) -> Array:
+def _metric(metric: Mat | None, V: Array) -> Array:
     """Return ``metric`` (None: 1) times V."""
     return V if metric is None else apply_real(metric, V)
 
 
-def _vector(matrix: Any, values: NDArray[Any]) -> Any:
+def _vector(matrix: Mat, values: NDArray[Any]) -> Vec:
     vector = matrix.createVecRight()
     vector.array[:] = values
     return vector

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from petscjam.parallel.comm import Comm
 from petscjam.parallel.petsc import destroying, petsc
 
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat
 
-def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: Comm) -> Any:
+
+def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any], size: int, comm: Comm) -> Mat:
     """Return the PETSc matrix with these local rows, flagged symmetric and not Hermitian.
 
     MUMPS then uses LDLᵀ, which PETSc refuses for a Hermitian matrix in a complex build.

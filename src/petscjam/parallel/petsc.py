@@ -83,7 +83,7 @@ def _prepare_blas() -> None:
                 break
 
 
-def check(PETSc: Any) -> None:
+def check(PETSc: ModuleType) -> None:
     """Refuse a PETSc with real scalars or without MUMPS."""
     import numpy as np
 

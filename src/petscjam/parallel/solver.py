@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from petscjam.base.interrupt import check
 from petscjam.parallel.comm import Comm
 from petscjam.parallel.memory import scratch_folder
 from petscjam.parallel.petsc import destroying, petsc, stage
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat, Vec
 
 Complex = NDArray[np.complex128]
 OUT_OF_WORKSPACE = (-8, -9)
@@ -145,12 +148,12 @@ class DirectSolver:
         """Floating-point operations of the latest factorisation, all ranks (MUMPS RINFOG(3)); 0 without."""
         return float(self._factor().getMumpsRinfog(3)) if self._mumps() else 0.0
 
-    def _residual(self, x: Any, f: Any, r: Any) -> float:
+    def _residual(self, x: Vec, f: Vec, r: Vec) -> float:
         self._A.mult(x, r)
         r.aypx(-1.0, f)
         return float(r.norm())
 
-    def _factor(self) -> Any:
+    def _factor(self) -> Mat:
         return self.ksp.getPC().getFactorMatrix()
 
     def _configure(self) -> None:
@@ -184,7 +187,7 @@ class DirectSolver:
     def _code(self) -> int:
         return int(self._factor().getMumpsInfog(1)) if self._mumps() else 0
 
-    def _enlarge(self, A: Any) -> None:
+    def _enlarge(self, A: Mat) -> None:
         """Factor again with four times the extra workspace.
 
         PETSc does not factor again after an error of MUMPS, so this starts from the analysis, which reads the
@@ -242,7 +245,7 @@ def _scratch() -> Iterator[None]:
                 os.environ["MUMPS_OOC_TMPDIR"] = before
 
 
-def _advice(code: int, factor: Any) -> str:
+def _advice(code: int, factor: Mat) -> str:
     if code in OUT_OF_WORKSPACE:
         return (
             f"workspace too small (INFOG(1) = {code}) even with ICNTL(14) = {factor.getMumpsIcntl(14)} %; "

@@ -11,7 +11,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +26,7 @@ EIGENVALUES = 4
 GRADIENTS = [StrainMode("", np.outer(a, b)) for a in np.eye(2) for b in np.eye(2)]  # F = 1 + s e_a e_bᵀ
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array
+    from scipy.sparse import csc_array, dia_array
 
 
 def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
@@ -169,7 +169,7 @@ def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     return below
 
 
-def _diagonal(values: Array) -> Any:
+def _diagonal(values: Array) -> dia_array:
     from scipy.sparse import dia_array
 
     return dia_array((values[None], [0]), shape=(len(values), len(values)))

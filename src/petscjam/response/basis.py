@@ -7,7 +7,7 @@ Axes: n local rows, m motion.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from petscjam.response.dofs import connected, resists
 from petscjam.response.matrices import Pencil
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Motion, translations
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat
 
 NEW = 1e-10  # part of a vector outside the others, below which it is rounding
 
@@ -129,7 +132,7 @@ class ReducedBasis:
         gathered = (self.pencil.dofs.gather(np.asarray(v, dtype=complex), problem.comm) for v in columns)
         return np.array([problem.displacement(q).real for q in gathered])
 
-    def apply(self, matrix: Any, z: Complex) -> Complex:
+    def apply(self, matrix: Mat, z: Complex) -> Complex:
         """Return ``matrix`` times ``z``, this rank's rows.
 
         Parameters

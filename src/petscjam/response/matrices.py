@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.dofs import Dofs
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Form
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat, Vec
 
 ROUNDING = 1e-14  # what is left of entries that cancel, of the largest one
 
@@ -49,18 +52,18 @@ class Pencil:
 
     dofs: Dofs
     forms: tuple[Form, ...]
-    matrices: tuple[Any, ...]
-    A: Any
+    matrices: tuple[Mat, ...]
+    A: Mat
     coupling: tuple[NDArray[Any], ...]
-    vectors: tuple[Any, Any]
+    vectors: tuple[Vec, Vec]
 
     @property
-    def K(self) -> Any:
+    def K(self) -> Mat:
         """The stiffness matrix."""
         return self.matrices[0]
 
     @property
-    def B(self) -> Any:
+    def B(self) -> Mat:
         """The friction matrix."""
         return self.matrices[1]
 
@@ -74,7 +77,7 @@ class Pencil:
         """Rows of B_uγ that belong to this rank."""
         return self.coupling[1]
 
-    def combine(self, *coefficients: complex) -> Any:
+    def combine(self, *coefficients: complex) -> Mat:
         """Fill A with the sum of the matrices, each times its coefficient."""
         same = petsc().Mat.Structure.SAME_NONZERO_PATTERN
         self.matrices[0].copy(self.A, structure=same)

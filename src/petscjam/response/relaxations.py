@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
 from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
+
+if TYPE_CHECKING:
+    from petsc4py.PETSc import Mat, Vec
 
 INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
 
@@ -247,8 +250,8 @@ def _slower(problem: LinearProblem, tau: float, room: float) -> int:
 class _Eliminated:
     """K and −B between displacements, θ following; ``k`` and ``b`` (n,), and which local rows they are."""
 
-    K: Any
-    minus_B: Any
+    K: Mat
+    minus_B: Mat
     k: Array
     b: Array
     moves: NDArray[np.bool_]
@@ -257,22 +260,22 @@ class _Eliminated:
 class _Following:
     """B_uθ B_θθ⁻¹ B_θu − B_uu, as a matrix of PETSc's."""
 
-    def __init__(self, B_uu: Any, B_ur: Any, solver: DirectSolver) -> None:
+    def __init__(self, B_uu: Mat, B_ur: Mat, solver: DirectSolver) -> None:
         self._uu, self._ur, self._solver, self._turns = B_uu, B_ur, solver, B_ur.createVecRight()
 
-    def mult(self, _: Any, x: Any, y: Any) -> None:
+    def mult(self, _: Mat, x: Vec, y: Vec) -> None:
         """Apply it."""
         self._uu.mult(x, y)
         self._ur.multTranspose(x, self._turns)
         self.follow(self._turns, y)
         y.scale(-1.0)
 
-    def follow(self, torque: Any, y: Any) -> None:
+    def follow(self, torque: Vec, y: Vec) -> None:
         """Subtract B_uθ B_θθ⁻¹ ``torque``."""
         torque.array[:] = -self._solver.solve(torque.array)[0]
         self._ur.multAdd(torque, y, y)
 
-    def destroy(self, _: Any) -> None:
+    def destroy(self, _: Mat) -> None:
         """Free the vector."""
         self._turns.destroy()
 
