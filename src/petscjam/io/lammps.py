@@ -110,14 +110,7 @@ def read_lammps_dump(path: Path, wanted: Wanted) -> Packing:
     starts = [n for n, line in enumerate(lines) if line == "ITEM: TIMESTEP"]
     index = wanted.one_of(len(starts))
     start, end = [*starts, len(lines)][index : index + 2]
-    items: dict[str, tuple[int, list[str]]] = {}
-    for n in range(start, end):
-        if found := ITEM.match(lines[n]):
-            check_once([*items, found[1]], n, "item")
-            items[found[1]] = n + 1, found[2].split()
-    for name in ("NUMBER OF ATOMS", "BOX BOUNDS", "ATOMS"):
-        if name not in items:
-            raise InputError(f"line {start + 1}: this frame lacks 'ITEM: {name}'")
+    items = _items(lines, start, end)
 
     def rows(name: str, count: int) -> range:
         first, _ = items[name]
@@ -164,6 +157,19 @@ def read_lammps_dump(path: Path, wanted: Wanted) -> Packing:
     origin["header"] = {"timestep": lines[start + 1]}
     origin |= text.precision(atoms, [names.index(name) for name in places[:2]])
     return Packing(x[:, :2], radii, Box(cell[:2, :2]), wanted.potential or "harmonic", provenance=origin)
+
+
+def _items(lines: Sequence[str], start: int, end: int) -> dict[str, tuple[int, list[str]]]:
+    """Return, for each item of a frame, the first line of its rows and the words behind its name."""
+    items: dict[str, tuple[int, list[str]]] = {}
+    for n in range(start, end):
+        if found := ITEM.match(lines[n]):
+            check_once([*items, found[1]], n, "item")
+            items[found[1]] = n + 1, found[2].split()
+    for name in ("NUMBER OF ATOMS", "BOX BOUNDS", "ATOMS"):
+        if name not in items:
+            raise InputError(f"line {start + 1}: this frame lacks 'ITEM: {name}'")
+    return items
 
 
 def _radii(wanted: Wanted, text: Text, rows: Iterable[int], names: list[str], sizes: dict[str, Array]) -> Array:

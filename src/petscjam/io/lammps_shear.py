@@ -9,6 +9,7 @@ overlap and dt.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations_with_replacement
 from math import ceil
@@ -161,26 +162,29 @@ def write_lammps(
         "every": int(every),
         "skin": 0.1,
     }
-    potential = model.potential
-    texts = {
-        "disks.data": _data(start, model.rolls),
-        "in.shear": IN_SHEAR.format(
-            name=model.name,
-            Q=model.Q,
-            potential=potential.name,
-            settings="\n".join(f"variable {name} index {value}" for name, value in settings.items()),
-            disks=_disks(start.radii, potential, model.normal, model.tangential / model.normal),
-            integrator="nve/sphere disc" if model.rolls else "nve",
-            columns=COLUMNS,
-        ),
-        "in.elastic": IN_ELASTIC.format(disks=_disks(start.radii, potential, 0.0, 0.0)),
-    }
+    texts = _texts(start, model, settings)
     with made_folder(folder):
         for name in texts:
             check_output(Path(folder, name), overwrite=overwrite)
     for name, text in texts.items():
         write_atomically(Path(folder, name), text.encode())
     Path(folder, "end.dump").unlink(missing_ok=True)  # the final state of another run
+
+
+def _texts(state: State, model: Model, settings: Mapping[str, float]) -> dict[str, str]:
+    """Return the text of each file."""
+    potential = model.potential
+    script = IN_SHEAR.format(
+        name=model.name,
+        Q=model.Q,
+        potential=potential.name,
+        settings="\n".join(f"variable {name} index {value}" for name, value in settings.items()),
+        disks=_disks(state.radii, potential, model.normal, model.tangential / model.normal),
+        integrator="nve/sphere disc" if model.rolls else "nve",
+        columns=COLUMNS,
+    )
+    elastic = IN_ELASTIC.format(disks=_disks(state.radii, potential, 0.0, 0.0))
+    return {"disks.data": _data(state, model.rolls), "in.shear": script, "in.elastic": elastic}
 
 
 def _check_model(state: State, model: Model) -> None:

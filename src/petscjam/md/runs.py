@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -197,14 +197,7 @@ def run(
     ranges.FRAMES.check("shear: the number of frames", frames)
     if frames and output is None:
         raise InputError("shear: frames are written beside the output: give one")
-    with ExitStack() as held:
-        if output is not None:
-            held.enter_context(claimed(output))
-            inputs = [start] if isinstance(start, str | PathLike) else []
-            check_output(output, overwrite=overwrite or resume, inputs=inputs)
-            if frames:
-                held.enter_context(made_folder(frames_of(output)))
-                held.enter_context(claimed(frames_of(output)))
+    with _claimed(output, start, overwrite=overwrite or resume, frames=frames > 0):
         kind = ENGINES[engine]
         earlier = _earlier(output, kind) if output is not None and resume and Path(output).exists() else None
         there = None if earlier is None else earlier.run.settings
@@ -238,6 +231,20 @@ def run(
         for text in done.warnings:
             warnings.warn(text, DoubtfulWarning, stacklevel=3)
         return done
+
+
+@contextmanager
+def _claimed(output: str | PathLike[str] | None, start: Start, *, overwrite: bool, frames: bool) -> Iterator[None]:
+    """Check the output, and keep other runs from it and from its frames."""
+    with ExitStack() as held:
+        if output is not None:
+            held.enter_context(claimed(output))
+            inputs = [start] if isinstance(start, str | PathLike) else []
+            check_output(output, overwrite=overwrite, inputs=inputs)
+            if frames:
+                held.enter_context(made_folder(frames_of(output)))
+                held.enter_context(claimed(frames_of(output)))
+        yield
 
 
 def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int | None) -> tuple[int, int]:

@@ -132,6 +132,17 @@ class ReducedBasis:
         gathered = (self.pencil.dofs.gather(np.asarray(v, dtype=complex), problem.comm) for v in columns)
         return np.array([problem.displacement(q).real for q in gathered])
 
+    def performance(self, factorisations: int) -> dict[str, Any]:
+        """Return what the model took to make, for the record of a result."""
+        return {
+            "factorisations": factorisations,
+            "ranks": self.problem.comm.size,
+            "unknowns": self.pencil.dofs.size,
+            "mumps_MB": self.solver.memory,
+            "flops": self.solver.flops,
+            "residual": self.residual,
+        }
+
     def apply(self, matrix: Mat, z: Complex) -> Complex:
         """Return ``matrix`` times ``z``, this rank's rows.
 

@@ -157,16 +157,9 @@ def beta_family(
         nodes, estimate = _grow(basis, grid, rtol, progress)
         fields = basis.displacements() if displacements else None
         K, B1, B0 = basis.reduced
-        performance = {
-            "factorisations": len(nodes),
-            "ranks": comm.size,
-            "unknowns": pencil.dofs.size,
-            "mumps_MB": solver.memory,
-            "flops": solver.flops,
-            "residual": basis.residual,
-            "peak_MB": comm.allgather(peak_memory()),
-            "seconds": comm.bcast(time.perf_counter() - start),
-        }
+        performance = basis.performance(len(nodes))
+        performance["peak_MB"] = comm.allgather(peak_memory())
+        performance["seconds"] = comm.bcast(time.perf_counter() - start)
     if not estimate <= rtol:
         problem.notes.append(f"rtol = {rtol:g} is not met: the estimate is {estimate:.1e}")
     base = Spectrum(

@@ -126,14 +126,7 @@ def spectrum(
             found = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
             limits[1], limit_errors[1] = (found.G, found.eta + model.fluid), found.residual
         motions = grow.displacements() if displacements else None
-        performance: dict[str, Any] = {
-            "factorisations": len(grow.nodes),
-            "ranks": comm.size,
-            "unknowns": pencil.dofs.size,
-            "mumps_MB": solver.memory,
-            "flops": solver.flops,
-            "residual": grow.residual,
-        }
+        performance = grow.performance(len(grow.nodes))
     if not limit_errors[0].max() < PLATEAU:
         found = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
         limits[0], limit_errors[0] = (found.G, found.eta + model.fluid), found.residual
