@@ -208,7 +208,14 @@ def atomic_h5(path: str | PathLike[str], existing: bool = False) -> Iterator[h5p
 
 
 def group(parent: h5py.Group, path: str) -> h5py.Group:
-    """Return the group at ``path``, made if necessary. It stores no time: equal content gives equal bytes."""
+    """Return the group at ``path``, made if necessary. It stores no time: equal content gives equal bytes.
+
+    Parameters
+    ----------
+    parent : h5py.Group
+    path : str
+        Names separated by ``/``.
+    """
     import h5py
 
     timeless = h5py.h5p.create(h5py.h5p.GROUP_CREATE)

@@ -66,7 +66,7 @@ def deferred() -> Iterator[None]:
                 check()
 
 
-def check(comm: Any = None) -> None:
+def check(comm: Comm | None = None) -> None:
     """Stop if a signal has arrived at this rank or, with ``comm``, at any of its ranks; then collective.
 
     Raises

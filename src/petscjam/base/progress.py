@@ -27,7 +27,14 @@ def part(report: Report, k: int, n: int, label: str = "") -> Report:
 
 @contextmanager
 def progress(label: str, *, show: bool) -> Iterator[Report]:
-    """Yield a function of the completed fraction and a text; it prints only with ``show`` (rank 0)."""
+    """Yield a function of the completed fraction and a text; it prints only with ``show`` (rank 0).
+
+    Parameters
+    ----------
+    label : str
+        Stands before each text.
+    show : bool
+    """
     if not show:
         yield lambda fraction, text: None
     elif sys.stderr.isatty():

@@ -20,6 +20,9 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import Interrupted, listening
 from petscjam.cli.streams import Stream
 
+if TYPE_CHECKING:
+    from petscjam.parallel.comm import Comm
+
 STOPPING = 10.0  # seconds that ranks wait for each other after a signal
 
 
@@ -63,8 +66,14 @@ def _main(arguments: Sequence[str] | None) -> int:
         leaving.Free()
 
 
-def run(argv: list[str], comm: Any) -> int:
-    """Parse ``argv`` and run the verb."""
+def run(argv: list[str], comm: Comm) -> int:
+    """Parse ``argv`` and run the verb.
+
+    Parameters
+    ----------
+    argv : list of str
+    comm : Comm
+    """
     from petscjam.cli.config import misspelt
     from petscjam.cli.parser import build_parser
     from petscjam.parallel.petsc import set_options

@@ -15,8 +15,14 @@ from petscjam.parallel.comm import Comm, on_root
 from petscjam.rows.damping import DampingLaw
 
 
-def analyse(options: argparse.Namespace, comm: Any) -> None:
-    """Run the analysis that a verb declares, for all packings."""
+def analyse(options: argparse.Namespace, comm: Comm) -> None:
+    """Run the analysis that a verb declares, for all packings.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     result, verb = options.declared
     function = resolve_name(options.analyse) if isinstance(options.analyse, str) else options.analyse
     settings = {name: getattr(options, name) for name in options.settings}
@@ -28,8 +34,14 @@ def analyse(options: argparse.Namespace, comm: Any) -> None:
         _analyse(options, comm, function, settings)
 
 
-def figure(options: argparse.Namespace, comm: Any) -> None:
-    """Make a figure of a paper: packings, results, picture and page."""
+def figure(options: argparse.Namespace, comm: Comm) -> None:
+    """Make a figure of a paper: packings, results, picture and page.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     from petscjam.base.progress import progress
     from petscjam.figures import Request, make_figure
     from petscjam.parallel.petsc import start

@@ -11,8 +11,10 @@ from petscjam.base.errors import InputError
 from petscjam.base.files import naming
 from petscjam.cli.renamed import current
 
+Exclusive = argparse._MutuallyExclusiveGroup
 
-def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[Any]) -> list[str]:
+
+def settings(argv: list[str], options: Mapping[str, argparse.Action], exclusive: Iterable[Exclusive]) -> list[str]:
     """Return the options in the file of ``--config``, to be put before ``argv``.
 
     Options that exclude one in ``argv`` are left out.
@@ -39,10 +41,7 @@ def settings(argv: list[str], options: Mapping[str, Any], exclusive: Iterable[An
 
 
 def _words(
-    path: str,
-    argv: list[str],
-    options: Mapping[str, argparse.Action],
-    exclusive: Iterable[argparse._MutuallyExclusiveGroup],
+    path: str, argv: list[str], options: Mapping[str, argparse.Action], exclusive: Iterable[Exclusive]
 ) -> list[str]:
     with open(path, "rb") as file:
         try:
@@ -72,6 +71,12 @@ def _words(
 
 
 def misspelt(option: str, known: list[str]) -> str:
-    """Return the message that ``option`` is unknown, with a similar known one."""
+    """Return the message that ``option`` is unknown, with a similar known one.
+
+    Parameters
+    ----------
+    option : str
+    known : list of str
+    """
     close = get_close_matches(option.split("=")[0], known, 1)
     return f"unknown argument {option}" + (f"; did you mean {close[0]}?" if close else "")

@@ -11,7 +11,7 @@ from petscjam.base.errors import InputError
 from petscjam.rows.damping import LAWS, ContactDamping, DampingLaw
 
 
-def option(item: Field) -> str:
+def option(item: Field[Any]) -> str:
     """Return the option of a field of a law; the option of a field that is true by default sets it to false."""
     return f"--{'no-' * isinstance(item.default, bool)}{item.name.replace('_', '-')}"
 

@@ -70,7 +70,13 @@ class Parser(argparse.ArgumentParser):
             declare(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Replace old names, and put the options of ``--config FILE`` first: of two equal options the last counts."""
+        """Replace old names, and put the options of ``--config FILE`` first: of two equal options the last counts.
+
+        Parameters
+        ----------
+        args : list of str
+        namespace : argparse.Namespace, optional
+        """
         self.complete()
         if self._subparsers:
             known = list(self._subparsers._group_actions[0].choices or ())
@@ -369,7 +375,14 @@ def build_parser() -> Parser:
 
 
 def declare(p: Parser, kind: str) -> None:
-    """Add the options of the verb that makes a kind of results."""
+    """Add the options of the verb that makes a kind of results.
+
+    Parameters
+    ----------
+    p : Parser
+    kind : str
+        A name from ``KINDS``.
+    """
     result = class_of(kind)
     verb: Verb = import_module(result.__module__).VERB
     packings(p)
@@ -553,14 +566,34 @@ def team_size(p: Parser) -> None:
 
 
 def add(known: argparse._SubParsersAction[Parser], verb: str, work: Work, text: str, epilog: str = "") -> Parser:
-    """Add a verb whose options are known by name to :func:`misspelt`."""
+    """Add a verb whose options are known by name to :func:`misspelt`.
+
+    Parameters
+    ----------
+    known : action of argparse
+        What ``add_subparsers`` returns.
+    verb : str
+    work : callable
+        Function of the options and of the communicator.
+    text, epilog : str
+        What the help says, and at its end.
+    """
     parser = known.add_parser(verb, help=text, description=text, epilog=epilog.format(verb=verb))
     parser.set_defaults(work=work, known=parser._option_string_actions.keys())
     return parser
 
 
 def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume: bool = True) -> None:
-    """Add ``-o`` and the options for an output that exists."""
+    """Add ``-o`` and the options for an output that exists.
+
+    Parameters
+    ----------
+    p : Parser
+    metavar, text : str
+        What the help calls it and says.
+    required, resume : bool
+        Whether it must be given, and may be continued.
+    """
     p.add_argument("-o", "--output", type=path, metavar=metavar, required=required, help=text)
     either = p.add_mutually_exclusive_group()
     either.add_argument("--overwrite", action="store_true", help="replace an output that exists")

@@ -18,8 +18,14 @@ if TYPE_CHECKING:
     from petscjam.md.protocols import Protocol
 
 
-def shear(options: argparse.Namespace, comm: Any) -> None:
-    """Shear disks at a constant rate, in steps of the rate, or in oscillation; one run, or a grid of runs."""
+def shear(options: argparse.Namespace, comm: Comm) -> None:
+    """Shear disks at a constant rate, in steps of the rate, or in oscillation; one run, or a grid of runs.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     from petscjam.md import protocols
 
     if options.oscillate and (options.then or options.rate or options.strain or options.bulk):
@@ -40,8 +46,14 @@ def shear(options: argparse.Namespace, comm: Any) -> None:
     _work(options, comm, protocol, [0.0] if options.oscillate else options.rate or [1e-4])
 
 
-def ramp(options: argparse.Namespace, comm: Any) -> None:
-    """Increase the strain rate and decrease it again; one run, or a grid of runs."""
+def ramp(options: argparse.Namespace, comm: Comm) -> None:
+    """Increase the strain rate and decrease it again; one run, or a grid of runs.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     from petscjam.md import protocols
 
     def protocol(rate: float) -> protocols.Protocol:

@@ -23,13 +23,25 @@ if TYPE_CHECKING:
 
 
 def say(comm: Comm, text: str) -> None:
-    """Print on rank 0."""
+    """Print on rank 0.
+
+    Parameters
+    ----------
+    comm : Comm
+    text : str
+    """
     if comm.rank == 0:
         print(text, flush=True)
 
 
 def prepare(options: argparse.Namespace, comm: Comm) -> None:
-    """Prepare one packing, or a library of several."""
+    """Prepare one packing, or a library of several.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
     from petscjam.preparation.library import Recipe, prepare_library
@@ -114,8 +126,14 @@ def _in_short(packing: Packing) -> str:
     return f"{len(packing)} disks, phi = {packing.phi:.6f}, {verdict[packing.certificate.proved]}"
 
 
-def info(options: argparse.Namespace, comm: Any) -> None:
-    """Print the content of a file or a folder."""
+def info(options: argparse.Namespace, comm: Comm) -> None:
+    """Print the content of a file or a folder.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
 
     def text() -> str:
         from petscjam.io.kinds import recognise
@@ -136,8 +154,14 @@ def info(options: argparse.Namespace, comm: Any) -> None:
     say(comm, said)
 
 
-def import_(options: argparse.Namespace, comm: Any) -> None:
-    """Import a packing, and certify it or relax it."""
+def import_(options: argparse.Namespace, comm: Comm) -> None:
+    """Import a packing, and certify it or relax it.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     from petscjam.base.progress import progress
     from petscjam.parallel.petsc import start
 
@@ -198,7 +222,13 @@ def _judged(packing: Any, file: Path) -> Any:
 
 
 def export(options: argparse.Namespace, comm: Comm) -> None:
-    """Export a packing, a sheared run, or a result for rheologists."""
+    """Export a packing, a sheared run, or a result for rheologists.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     writers = {"packing": _export_packing, "run": _export_run, "results": _export_results}
 
     def work() -> None:
@@ -379,14 +409,31 @@ def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Name
 
 
 def finish(failures: list[str], what: str) -> None:
-    """Raise an error if some packings failed."""
+    """Raise an error if some packings failed.
+
+    Parameters
+    ----------
+    failures : list of str
+    what : str
+        What failed, in the plural.
+
+    Raises
+    ------
+    SolverError
+    """
     if failures:
         lines = "".join(f"\n  {failure}" for failure in failures)
         raise SolverError(f"{len(failures)} {what} failed; --resume tries them again:{lines}")
 
 
-def moduli(options: argparse.Namespace, comm: Any) -> None:
-    """Compute G* of all packings, distributed over teams of ranks; each result is written when it is finished."""
+def moduli(options: argparse.Namespace, comm: Comm) -> None:
+    """Compute G* of all packings, distributed over teams of ranks; each result is written when it is finished.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
     import numpy as np
 
     from petscjam.io.jobs import ModulusAnalysis
@@ -423,8 +470,16 @@ def moduli(options: argparse.Namespace, comm: Any) -> None:
     finish(failures, "moduli")
 
 
-def analysed(options: argparse.Namespace, comm: Any, analysis: Any, laws: Sequence[Any] = (None,)) -> list[str]:
-    """Analyse the given packings and print the results; return the reasons of failures."""
+def analysed(options: argparse.Namespace, comm: Comm, analysis: Any, laws: Sequence[Any] = (None,)) -> list[str]:
+    """Analyse the given packings and print the results; return the reasons of failures.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    analysis : Analysis
+    laws : sequence of DampingLaw or None
+    """
     from petscjam.base.progress import progress
     from petscjam.io.jobs import Ensemble, analyse
     from petscjam.io.results import read_results
@@ -450,7 +505,13 @@ def analysed(options: argparse.Namespace, comm: Any, analysis: Any, laws: Sequen
 
 
 def plot(options: argparse.Namespace, comm: Comm) -> None:
-    """Draw a result, a packing or a folder of packings."""
+    """Draw a result, a packing or a folder of packings.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
 
     def work() -> None:
         from petscjam.base.files import check_output

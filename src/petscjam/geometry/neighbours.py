@@ -71,13 +71,33 @@ def pairs(box: Box, positions: ArrayLike, radii: ArrayLike, skin: float = 0.0) -
 
 
 def expected_pairs(box: Box, radii: Array, skin: float) -> float:
-    """Return ½ Σij π (ρi + ρj + skin)²/V, the number of pairs, images included, of disks at random positions."""
+    """Return ½ Σij π (ρi + ρj + skin)²/V, the number of pairs, images included, of disks at random positions.
+
+    Parameters
+    ----------
+    box : Box
+    radii : (N,)
+        ρ.
+    skin : float
+    """
     n, reach = float(len(radii)), radii + skin / 2
     return float(np.pi * (n * (reach**2).sum() + reach.sum() ** 2) / box.area)
 
 
 def check_memory(box: Box, radii: Array, skin: float) -> None:
-    """Raise an InputError if there is not enough memory for the pairs of disks at random positions."""
+    """Raise an InputError if there is not enough memory for the pairs of disks at random positions.
+
+    Parameters
+    ----------
+    box : Box
+    radii : (N,)
+    skin : float
+
+    Raises
+    ------
+    InputError
+        It names the packing fraction and the memory, in MB.
+    """
     count = expected_pairs(box, radii, skin)
     need = count * BYTES / 2**20
     if need > 100 and need > available_memory():

@@ -45,15 +45,30 @@ class Potential:
         return float(self.spring_constant(np.array(d)) * d ** (self.exponent - 2))
 
     def energy(self, r: Array, sigma: Array) -> Array:
-        """Energy of pairs at distance ``r``."""
+        """Energy of pairs at distance ``r``.
+
+        Parameters
+        ----------
+        r, sigma : arrays
+        """
         return self.spring_constant(sigma) * np.maximum(sigma - r, 0) ** self.exponent / self.exponent
 
     def force(self, r: Array, sigma: Array) -> Array:
-        """Repulsive force −dU/dr."""
+        """Repulsive force −dU/dr.
+
+        Parameters
+        ----------
+        r, sigma : arrays
+        """
         return self.spring_constant(sigma) * np.maximum(sigma - r, 0) ** (self.exponent - 1)
 
     def stiffness(self, r: Array, sigma: Array) -> Array:
-        """Second derivative d²U/dr²; a pair with overlap 0 counts as a contact."""
+        """Second derivative d²U/dr²; a pair with overlap 0 counts as a contact.
+
+        Parameters
+        ----------
+        r, sigma : arrays
+        """
         alpha = self.exponent
         overlap = np.maximum(sigma - r, 0)
         return np.where(r <= sigma, self.spring_constant(sigma) * (alpha - 1) * overlap ** (alpha - 2), 0.0)
@@ -72,6 +87,13 @@ POTENTIALS = {
 
 def power_law(exponent: float, relative: bool) -> Potential:
     """Return the potential of an exponent; its name, unless it has one in POTENTIALS, is ``power-α[-relative]``.
+
+    Parameters
+    ----------
+    exponent : float
+        α.
+    relative : bool
+        Whether the overlap counts relative to σ.
 
     Raises
     ------

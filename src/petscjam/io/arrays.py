@@ -60,6 +60,11 @@ def read_jsrc(path: Path, wanted: Wanted) -> Packing:
 
     Its boxes multiply columns and are stored column by column: two numbers in sequence are a lattice vector. Its
     potentials are functions of r/σ.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
     """
     with open_arrays(path) as file:
         index = wanted.one_of(file["pos"].shape[0])
@@ -90,7 +95,13 @@ def _from_fractions(file: Mapping[str, Any], index: int, cell: Array, law: str, 
 
 
 def read_h5md(path: Path, wanted: Wanted) -> Packing:
-    """Read H5MD of another program: its only group of particles, with radii, diameters or species."""
+    """Read H5MD of another program: its only group of particles, with radii, diameters or species.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     with open_h5(path) as file:
         particles = file.get("particles", {})
         groups = [name for name, node in particles.items() if {"position", "box"} <= set(node)]

@@ -136,7 +136,7 @@ def _inside(x: NDArray[Any], y: NDArray[Any], xy: Any, L: Any) -> NDArray[Any]:
 
 
 def h5md(packing: Packing) -> bytes:
-    """Petscjam's own file, which MDAnalysis can read (:mod:`petscjam.geometry.packing_file`)."""
+    """H5MD of petscjam, which MDAnalysis can read (:mod:`petscjam.geometry.packing_file`)."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "packing.h5")
         packing.write(path)

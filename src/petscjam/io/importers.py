@@ -131,13 +131,25 @@ def _unpacked(path: Path) -> Iterator[Path]:
 
 
 def read_own(path: Path, wanted: Wanted) -> Packing:
-    """Read petscjam's own H5MD."""
+    """Read petscjam's own H5MD.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     wanted.one_of(1)
     return Packing.read(path)
 
 
 def read_sheared(path: Path, wanted: Wanted) -> Packing:
-    """Read the last state of a sheared run, not minimised."""
+    """Read the last state of a sheared run, not minimised.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
+    """
     from petscjam.md.quench import snapshot
     from petscjam.md.result import read_run
 

@@ -307,7 +307,17 @@ class ModulusAnalysis(Analysis):
             yield law, ComplexModulus.sampled(model, self.omegas, self.fields_at)
 
     def line(self, name: str, g: ComplexModulus, seconds: float, before: ComplexModulus | None) -> str:
-        """Return a line of the log: the cost of the result, and its error."""
+        """Return a line of the log: the cost of the result, and its error.
+
+        Parameters
+        ----------
+        name : str
+            Of the result.
+        g : ComplexModulus
+        seconds : float
+        before : ComplexModulus or None
+            The result before, which may be of the same factorisations.
+        """
         made, accuracy = g.performance, f"residual {g.residuals.max():.1e}"
         same = g.model and before and before.model and g.model.nodes is before.model.nodes
         if g.model:
@@ -440,7 +450,7 @@ def _jobs(ensemble: Ensemble, analysis: Analysis) -> Iterator[Job]:
                 yield Job(file, packing.checksum, len(packing), groups, kept)
 
 
-def _team_size(jobs: Sequence[Job], comm: Any, out_of_core: bool) -> int:
+def _team_size(jobs: Sequence[Job], comm: Comm, out_of_core: bool) -> int:
     """Return the ranks for each job, so that all ranks work and factors fit into the memory of a node."""
     size = max(1, comm.size // max(1, len(jobs)))
     need = factor_memory(3 * max((job.particles for job in jobs), default=0))

@@ -95,7 +95,13 @@ class Text:
         return self.lines[n].partition("#")[0].replace(",", " ").split()
 
     def rows(self, first: int, end: int) -> list[int]:
-        """Return the lines from ``first`` to before ``end`` that are neither blank nor comments."""
+        """Return the lines from ``first`` to before ``end`` that are neither blank nor comments.
+
+        Parameters
+        ----------
+        first, end : int
+            Numbers of lines, from 0.
+        """
         return [n for n in range(first, end) if self.words(n)]
 
     def table(self, rows: Sequence[int], width: int, columns: Sequence[int]) -> Array:
@@ -136,7 +142,13 @@ class Text:
             )
 
     def precision(self, rows: Sequence[int], columns: Sequence[int]) -> dict[str, str]:
-        """Return the number of digits, for the provenance, if it is smaller than in double precision."""
+        """Return the number of digits, for the provenance, if it is smaller than in double precision.
+
+        Parameters
+        ----------
+        rows, columns : sequence of int
+            Lines and words, from 0.
+        """
         words = (self.words(n)[k] for n in rows[:100] for k in columns)
         digits = max((len(digits_of(word)) for word in words), default=DIGITS)
         return {} if digits >= DIGITS else {"precision": f"{digits} digits"}
@@ -168,14 +180,36 @@ def numbers(words: Sequence[str], n: int) -> list[float]:
 
 
 def check_once(names: Sequence[str], n: int, what: str) -> None:
-    """Refuse ``names`` on line ``n`` if one of them is there twice."""
+    """Refuse ``names`` on line ``n`` if one of them is there twice.
+
+    Parameters
+    ----------
+    names : sequence of str
+    n : int
+        Their line, from 0.
+    what : str
+        What they name.
+
+    Raises
+    ------
+    InputError
+    """
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"line {n + 1}: the {what} {name} is there twice")
 
 
 def check_plane(z: Array, radii: Array) -> None:
-    """Refuse ``z`` that vary by more than rounding."""
+    """Refuse ``z`` that vary by more than rounding.
+
+    Parameters
+    ----------
+    z, radii : (N,)
+
+    Raises
+    ------
+    InputError
+    """
     if z.size and np.ptp(z) > FLAT * abs(radii).min(initial=np.inf):
         raise InputError(f"not in the plane: z runs from {z.min():g} to {z.max():g}")
 

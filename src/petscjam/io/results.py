@@ -54,6 +54,19 @@ def append_result(
     With ``fresh`` it replaces the content of the file. ``run`` identifies the last writer, ``made_with`` the
     settings of the result.
 
+    Parameters
+    ----------
+    result : Result
+        Of one of the ``KINDS``.
+    file : str or PathLike
+    group : str
+    fresh : bool
+        Whether it replaces what the file held.
+    run : str
+        Who wrote last.
+    made_with : str
+        How the result was made.
+
     Raises
     ------
     InputError

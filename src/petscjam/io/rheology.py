@@ -109,7 +109,14 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
 
 
 def csv(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> bytes:
-    """Return ω, G′, G″ and, if they are known, their errors, separated by commas; # starts a comment."""
+    """Return ω, G′, G″ and, if they are known, their errors, separated by commas; # starts a comment.
+
+    Parameters
+    ----------
+    source : Spectrum or ComplexModulus
+    omegas : array_like, optional
+        As in :func:`tts`.
+    """
     modulus = _sampled(source, omegas)
     names = ["omega", "G_storage", "G_loss"]
     columns = [modulus.omega, modulus.values.real, modulus.values.imag]

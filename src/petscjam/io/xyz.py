@@ -24,6 +24,11 @@ def read_xyz(path: Path, wanted: Wanted) -> Packing:
     """Read extended XYZ with a column ``radius``, ``diameter``, ``species`` or ``type``, and ``potential=…``.
 
     The rest of the comment line is the ``header`` of the provenance.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : Wanted
     """
     text = Text(path)
     starts = _frames(text)

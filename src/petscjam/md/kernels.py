@@ -131,7 +131,15 @@ def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def separation(c, q, pairs, strain, rate):
-    """Return rji and vji of pair c, with the image of j that is meant."""
+    """Return rji and vji of pair c, with the image of j that is meant.
+
+    Parameters
+    ----------
+    c : int
+    q : (N, 5)
+    pairs : Pairs
+    strain, rate : float
+    """
     a, b, image, L = pairs.i[c], pairs.j[c], c - pairs.chunks[-1], pairs.L
     x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
     if image >= 0:
@@ -251,7 +259,15 @@ def _drag(chunk, q, F, R, law, rate, sums):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def kinetic(q, m, rate, sums):
-    """Sum the products of peculiar velocities (VOT eq. 14) into the last row of ``sums``."""
+    """Sum the products of peculiar velocities (VOT eq. 14) into the last row of ``sums``.
+
+    Parameters
+    ----------
+    q : (N, 5)
+    m : (N,)
+    rate : float
+    sums : (chunks + 1, sums)
+    """
     for a in range(len(q)):
         x, y = q[a, 2] - rate * q[a, 1], q[a, 3]
         sums[-1, KXX] += m[a] * x * x
@@ -319,6 +335,17 @@ def jump(q, m, L, old, new, bulk):
 
     ``bulk``: 0 changes nothing but the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the
     change of the linear profile.
+
+    Parameters
+    ----------
+    q : (N, 5)
+        Overwritten.
+    m : (N,)
+    L : float
+    old, new : float
+        Strain rates.
+    bulk : int
+        A value of ``BULK``.
     """
     gain = 0.0
     factor = new / old if bulk == 1 else 1.0
@@ -383,7 +410,19 @@ def _correct_chunks_threaded(disks, scheme, chunks):
 
 @njit(cache=True, error_model="numpy")
 def forces(q, disks, pairs, law, now, threads, measure, measured):
-    """Add all forces on disks at ``q`` to those of ``disks``; with ``measure``, fill ``measured``."""
+    """Add all forces on disks at ``q`` to those of ``disks``; with ``measure``, fill ``measured``.
+
+    Parameters
+    ----------
+    q : (N, 5)
+    disks : Disks
+    pairs : Pairs
+    law : Law
+    now : Moment
+    threads : True or None
+    measure : bool
+    measured : Measured
+    """
     if threads is not None:
         _force_chunks_threaded(q, disks, pairs, law, now, measure, measured)
     else:
@@ -393,7 +432,15 @@ def forces(q, disks, pairs, law, now, threads, measure, measured):
 
 @njit(cache=True, error_model="numpy")
 def record(sums, rate, weight, total):
-    """Add ``weight`` times the sums of all chunks, and the power of the shear stress, to ``total``."""
+    """Add ``weight`` times the sums of all chunks, and the power of the shear stress, to ``total``.
+
+    Parameters
+    ----------
+    sums : (chunks + 1, sums)
+    rate, weight : float
+    total : (sums,)
+        Overwritten.
+    """
     shear = 0.0
     for name in range(WORK):
         value = sums[:, name].sum()
@@ -567,7 +614,15 @@ def fastest(disks, pairs, law, exponent, strain):
 
 @njit(cache=True, error_model="numpy")
 def elastic_energy(q, pairs, law, exponent, strain):
-    """Return Σ k δ^α/α over the contacts (VOT eq. 1), in m ds²/τe²."""
+    """Return Σ k δ^α/α over the contacts (VOT eq. 1), in m ds²/τe².
+
+    Parameters
+    ----------
+    q : (N, 5)
+    pairs : Pairs
+    law : Law
+    exponent, strain : float
+    """
     energy = 0.0
     for c in range(len(pairs.i)):
         x, y, _, _ = separation(c, q, pairs, strain, 0.0)
@@ -580,7 +635,15 @@ def elastic_energy(q, pairs, law, exponent, strain):
 
 @njit(cache=True, error_model="numpy")
 def sample_disks(disks, L, rate, layers, sums):
-    """Add what disks do to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`)."""
+    """Add what disks do to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`).
+
+    Parameters
+    ----------
+    disks : Disks
+    L, rate : float
+    layers, sums : arrays
+        Overwritten.
+    """
     q, R = disks.q, disks.R
     for a in range(len(q)):
         spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / L)
@@ -600,6 +663,14 @@ def sample_contacts(q, pairs, now, moments, scatter, sums):
     """Add what contacts do (:meth:`petscjam.md.engine.Engine.sample`); one goes to ``scatter``.
 
     That one is spread over the contacts from sample to sample, and the same after a restart.
+
+    Parameters
+    ----------
+    q : (N, 5)
+    pairs : Pairs
+    now : Moment
+    moments, scatter, sums : arrays
+        Overwritten.
     """
     v, touching, rate = np.zeros(4), 0, now.rate
     for c in range(len(pairs.i)):

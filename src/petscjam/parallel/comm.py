@@ -84,6 +84,13 @@ def on_root(comm: Comm, work: Callable[..., T], *arguments: Any, **options: Any)
     """Call ``work`` on rank 0 and give every rank its result, or raise its error on every rank.
 
     An error other than ours is raised unchanged on rank 0, and as a RuntimeError on the other ranks.
+
+    Parameters
+    ----------
+    comm : Comm
+    work : callable
+    *arguments, **options
+        Of ``work``.
     """
     result: Any = None
     error: Exception | Interrupted | None = None
@@ -102,6 +109,12 @@ def raise_together(comm: Comm, error: Exception | Interrupted | None) -> None:
     """Raise if any rank has an error: on that rank its own, on the others that of the lowest such rank.
 
     Collective. An error other than ours is a RuntimeError on the other ranks.
+
+    Parameters
+    ----------
+    comm : Comm
+    error : exception or None
+        What happened on this rank.
     """
     shared = [e for e in comm.allgather(_for_others(error)) if e is not None]
     if shared:
@@ -133,6 +146,19 @@ def exit_together(comm: Comm, code: int, message: str, patience: float = 2.0) ->
 
     ``comm`` spans all ranks and is used for nothing else. The message is printed once if every rank exits, else
     by the rank that failed.
+
+    Parameters
+    ----------
+    comm : Comm
+    code : int
+        Exit status.
+    message : str
+    patience : float
+        s.
+
+    Returns
+    -------
+    ``code``
     """
     everyone = comm.Ibarrier()
     patience += time.monotonic()
