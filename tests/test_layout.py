@@ -75,6 +75,28 @@ def test_no_module_imports_itself_through_others():
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
+def functions(tree, inside=""):
+    """The name and the node of every public function and method; those inside functions and private classes not."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            if node.name.startswith("_"):
+                continue
+            if isinstance(node, ast.FunctionDef):
+                yield inside + node.name, node
+            else:
+                yield from functions(node, f"{inside}{node.name}.")
+
+
+def test_public_functions_describe_their_arguments():
+    undescribed = []
+    for path, module in (param.values for param in modules()):
+        for name, node in functions(ast.parse(path.read_text())):
+            arguments = {a.arg for a in (*node.args.args, *node.args.kwonlyargs)} - {"self", "cls"}
+            if len(arguments) > 1 and "Parameters\n---" not in (ast.get_docstring(node) or ""):
+                undescribed.append(f"{module}.{name}")
+    assert not undescribed
+
+
 def in_a_new_process(code):
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return json.loads(run.stdout)
