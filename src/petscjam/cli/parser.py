@@ -104,82 +104,33 @@ def build_parser() -> Parser:
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
     p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at target pressures", RANKS)
-    p.add_argument(
-        "--particles",
-        type=Within(whole, ranges.PREPARED),
-        default="1024",
-        metavar="N,…",
-        help="numbers of disks (default 1024)",
-    )
-    p.add_argument(
-        "--pressure",
-        type=points,
-        default="1e-3",
-        metavar="P",
-        help="target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends "
-        "counted (default 1e-3)",
-    )
+    text = "numbers of disks (default 1024)"
+    p.add_argument("--particles", type=Within(whole, ranges.PREPARED), default="1024", metavar="N,…", help=text)
+    text = "target pressures, in units of k: a list A,B,…, or A:B:N, evenly in log p, both ends counted (default 1e-3)"
+    p.add_argument("--pressure", type=points, default="1e-3", metavar="P", help=text)
     either = p.add_mutually_exclusive_group()
     either.add_argument("--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)")
-    either.add_argument(
-        "--seeds",
-        type=Within(seeds, ranges.SEED),
-        metavar="A:B",
-        help="many seeds: A to B, both counted, or a list A,B,…",
-    )
-    p.add_argument(
-        "--shear-stabilised", action="store_true", help="also relax the shape of the cell: stable against shear"
-    )
-    p.add_argument(
-        "--decompress", action="store_true", help="start each pressure from the packing of the next higher one"
-    )
-    p.add_argument(
-        "--ratio",
-        type=Within(number, ranges.RATIO),
-        default=1.4,
-        metavar="X",
-        help="diameter of large disks over that of small ones (default 1.4)",
-    )
-    p.add_argument(
-        "--composition",
-        type=Within(number, ranges.COMPOSITION),
-        default=0.5,
-        metavar="X",
-        help="share of small disks, by number (default 0.5)",
-    )
-    p.add_argument(
-        "--polydispersity",
-        type=Within(number, ranges.POLYDISPERSITY),
-        default=0.0,
-        metavar="X",
-        help="standard deviation over mean of the diameters of each kind (default 0)",
-    )
+    text = "many seeds: A to B, both counted, or a list A,B,…"
+    either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help=text)
+    text = "also relax the shape of the cell: stable against shear"
+    p.add_argument("--shear-stabilised", action="store_true", help=text)
+    text = "start each pressure from the packing of the next higher one"
+    p.add_argument("--decompress", action="store_true", help=text)
+    text = "diameter of large disks over that of small ones (default 1.4)"
+    p.add_argument("--ratio", type=Within(number, ranges.RATIO), default=1.4, metavar="X", help=text)
+    text = "share of small disks, by number (default 0.5)"
+    p.add_argument("--composition", type=Within(number, ranges.COMPOSITION), default=0.5, metavar="X", help=text)
+    text = "standard deviation over mean of the diameters of each kind (default 0)"
+    p.add_argument("--polydispersity", type=Within(number, ranges.POLYDISPERSITY), default=0.0, metavar="X", help=text)
     p.add_argument("--potential", choices=POTENTIALS, default="harmonic", help="contact potential (default harmonic)")
-    p.add_argument(
-        "--method",
-        choices=METHODS,
-        default="fire",
-        help="minimiser: FIRE or nonlinear conjugate gradients (default fire)",
-    )
-    p.add_argument(
-        "--threads",
-        type=Within(integer, ranges.THREADS),
-        metavar="T",
-        help="threads of each rank (default: its share of the cores if the packings are large and few, else 1)",
-    )
-    p.add_argument(
-        "--budget",
-        type=Within(integer, ranges.BUDGET),
-        default=BUDGET,
-        metavar="E",
-        help=f"evaluations of the force for each packing (default {BUDGET})",
-    )
-    p.add_argument(
-        "--config",
-        type=path,
-        metavar="FILE.toml",
-        help='settings by the names of these options, as pressure = "1e-2:1e-4:9"; the command line counts more',
-    )
+    text = "minimiser: FIRE or nonlinear conjugate gradients (default fire)"
+    p.add_argument("--method", choices=METHODS, default="fire", help=text)
+    text = "threads of each rank (default: its share of the cores if the packings are large and few, else 1)"
+    p.add_argument("--threads", type=Within(integer, ranges.THREADS), metavar="T", help=text)
+    text = f"evaluations of the force for each packing (default {BUDGET})"
+    p.add_argument("--budget", type=Within(integer, ranges.BUDGET), default=BUDGET, metavar="E", help=text)
+    text = 'settings by the names of these options, as pressure = "1e-2:1e-4:9"; the command line counts more'
+    p.add_argument("--config", type=path, metavar="FILE.toml", help=text)
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
     p = add(
@@ -203,80 +154,49 @@ def build_parser() -> Parser:
 
     p = add(known, "export", verbs.export, "write a packing, a modulus or a sheared run for other programs")
     p.add_argument("file", type=path, metavar="FILE")
-    p.add_argument(
-        "--to",
-        metavar="FORMAT",
-        help="of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and "
-        "freud), h5md (for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), "
-        "tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), "
-        "lammps (a folder with the input of the same disks); default: the extension of OUT, else xyz or csv",
+    text = (
+        "of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and freud), h5md "
+        "(for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), tts (omega, G', G'' for "
+        "RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), lammps (a folder with the "
+        "input of the same disks); default: the extension of OUT, else xyz or csv"
     )
-    p.add_argument(
-        "--group", metavar="NAME", help="which modulus of a file with several; with --average a pattern, as 'N1024*'"
-    )
-    p.add_argument(
-        "--average",
-        action="store_true",
-        help="mean over packings, with scatter and standard error; unstable packings are left out",
-    )
-    p.add_argument(
-        "--omega",
-        type=Within(frequencies, ranges.OMEGA),
-        metavar="RANGE",
-        help="tts, csv: frequencies in 1/tau1, instead of the stored ones: A:B:N or A,B,…",
-    )
-    p.add_argument(
-        "--time",
-        type=Within(points, ranges.TIME),
-        metavar="RANGE",
-        help="gt: times in tau1: A:B:N or A,B,… (default ten per decade, inverse frequencies)",
-    )
-    p.add_argument(
-        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="lammps: strain of the LAMMPS run (default 1)"
-    )
+    p.add_argument("--to", metavar="FORMAT", help=text)
+    text = "which modulus of a file with several; with --average a pattern, as 'N1024*'"
+    p.add_argument("--group", metavar="NAME", help=text)
+    text = "mean over packings, with scatter and standard error; unstable packings are left out"
+    p.add_argument("--average", action="store_true", help=text)
+    text = "tts, csv: frequencies in 1/tau1, instead of the stored ones: A:B:N or A,B,…"
+    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), metavar="RANGE", help=text)
+    text = "gt: times in tau1: A:B:N or A,B,… (default ten per decade, inverse frequencies)"
+    p.add_argument("--time", type=Within(points, ranges.TIME), metavar="RANGE", help=text)
+    text = "lammps: strain of the LAMMPS run (default 1)"
+    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help=text)
     output(p, "OUT", "file to write (default: FILE with the extension of the format)", required=False, resume=False)
 
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
-    p.add_argument(
-        "--omega",
-        type=Within(frequencies, ranges.OMEGA),
-        default="1e-8:1e2:61",
-        metavar="RANGE",
-        help="angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, "
-        "or a list A,B,… (default 1e-8:1e2:61)",
+    text = (
+        "angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, or a list A,B,… "
+        "(default 1e-8:1e2:61)"
     )
+    p.add_argument("--omega", type=Within(frequencies, ranges.OMEGA), default="1e-8:1e2:61", metavar="RANGE", help=text)
     damping(p)
     strain(p)
     prestress(p)
-    p.add_argument(
-        "--fields",
-        type=Within(frequencies, ranges.OMEGA),
-        default=(),
-        metavar="RANGE",
-        help="frequencies in 1/tau1 at which displacements are stored (the nearest ones of --omega)",
+    text = "frequencies in 1/tau1 at which displacements are stored (the nearest ones of --omega)"
+    p.add_argument("--fields", type=Within(frequencies, ranges.OMEGA), default=(), metavar="RANGE", help=text)
+    text = (
+        "bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest frequency (default 1e-6)"
     )
-    p.add_argument(
-        "--rtol",
-        type=number,
-        metavar="X",
-        help="bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest "
-        "frequency (default 1e-6)",
-    )
-    p.add_argument(
-        "--direct", action="store_true", help="one factorisation for each frequency instead of the reduced model"
-    )
+    p.add_argument("--rtol", type=number, metavar="X", help=text)
+    text = "one factorisation for each frequency instead of the reduced model"
+    p.add_argument("--direct", action="store_true", help=text)
     text = "one reduced model in (omega, beta) for all beta: its errors are estimates, not bounds"
     p.add_argument("--beta-family", action="store_true", help=text)
     team_size(p)
     p.add_argument("--out-of-core", action="store_true", help="store the factor on disk (MUMPS_OOC_TMPDIR)")
-    p.add_argument(
-        "--block-low-rank",
-        type=Within(number, ranges.COMPRESSION),
-        default=0.0,
-        metavar="X",
-        help="relative accuracy of a compressed factor, as 1e-9; refinement corrects the solutions (default 0: exact)",
-    )
+    text = "relative accuracy of a compressed factor, as 1e-9; refinement corrects the solutions (default 0: exact)"
+    p.add_argument("--block-low-rank", type=Within(number, ranges.COMPRESSION), default=0.0, metavar="X", help=text)
     output(p, "OUT.h5", "results, one group for each packing")
 
     for name, kind in KINDS.items():
@@ -285,57 +205,29 @@ def build_parser() -> Parser:
 
     text = "shear massive disks at a constant rate, in steps of the rate, or in oscillation (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
-    p.add_argument(
-        "--rate",
-        type=Within(numbers, ranges.RATE),
-        metavar="X,…",
-        help="strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)",
+    text = "strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)"
+    p.add_argument("--rate", type=Within(numbers, ranges.RATE), metavar="X,…", help=text)
+    text = "amount of shear strain (default 10)"
+    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help=text)
+    text = "continue at other strain rates; 0:TIME is rest, for a time in tau_e"
+    p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…", help=text)
+    text = (
+        "effect of a change of the strain rate: scale velocities and spins, add the change of the linear "
+        "profile, or move only the boundary (default scale)"
     )
-    p.add_argument(
-        "--strain", type=Within(number, ranges.STRAIN), metavar="X", help="amount of shear strain (default 10)"
-    )
-    p.add_argument(
-        "--then",
-        type=pairs,
-        metavar="RATE:STRAIN,…",
-        help="continue at other strain rates; 0:TIME is rest, for a time in tau_e",
-    )
-    p.add_argument(
-        "--bulk",
-        choices=BULK,
-        help="effect of a change of the strain rate: scale velocities and spins, add the "
-        "change of the linear profile, or move only the boundary (default scale)",
-    )
-    p.add_argument(
-        "--oscillate",
-        type=triple,
-        metavar="AMPLITUDE:OMEGA:CYCLES",
-        help="shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e",
-    )
+    p.add_argument("--bulk", choices=BULK, help=text)
+    text = "shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e"
+    p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES", help=text)
     disks(p)
 
     text = "increase the strain rate in small steps, and decrease it again (VOT eqs. 38-41)"
     p = add(known, "ramp", shearing.ramp, text, RANKS)
-    p.add_argument(
-        "--rate",
-        type=Within(numbers, ranges.RATE_SIZE),
-        metavar="X,…",
-        help="first strain rate, in 1/tau_e (default 1e-6)",
-    )
-    p.add_argument(
-        "--to",
-        type=Within(number, ranges.RATE_SIZE),
-        default=1e-3,
-        metavar="X",
-        help="highest strain rate, in 1/tau_e (default 1e-3)",
-    )
-    p.add_argument(
-        "--kappa",
-        type=Within(number, ranges.KAPPA),
-        default=1e-5,
-        metavar="X",
-        help="decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)",
-    )
+    text = "first strain rate, in 1/tau_e (default 1e-6)"
+    p.add_argument("--rate", type=Within(numbers, ranges.RATE_SIZE), metavar="X,…", help=text)
+    text = "highest strain rate, in 1/tau_e (default 1e-3)"
+    p.add_argument("--to", type=Within(number, ranges.RATE_SIZE), default=1e-3, metavar="X", help=text)
+    text = "decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)"
+    p.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X", help=text)
     disks(p)
 
     listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
@@ -347,12 +239,8 @@ def build_parser() -> Parser:
         RANKS,
     )
     p.add_argument("name", metavar="NAME", help=listing)
-    p.add_argument(
-        "--preset",
-        default="small",
-        metavar="NAME",
-        help="small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: hours to days)",
-    )
+    text = "small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: hours to days)"
+    p.add_argument("--preset", default="small", metavar="NAME", help=text)
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)
     p.add_argument("--existing", action="store_true", help="prepare no packings, use those in the folder")
@@ -402,21 +290,12 @@ def declare(p: Parser, kind: str) -> None:
 
 def reading(p: Parser) -> None:
     """Add the options for information that a file of another program may lack."""
-    p.add_argument(
-        "--index",
-        type=Within(integer, ranges.INDEX),
-        default=0,
-        metavar="K",
-        help="which packing of a file with several, from 0 on (default 0)",
-    )
+    text = "which packing of a file with several, from 0 on (default 0)"
+    p.add_argument("--index", type=Within(integer, ranges.INDEX), default=0, metavar="K", help=text)
     text = "contact potential, if the file does not contain it (default harmonic; for jsrc harmonic-relative)"
     p.add_argument("--potential", choices=POTENTIALS, help=text)
-    p.add_argument(
-        "--diameters",
-        type=diameters,
-        metavar="TYPE:X,…",
-        help="diameter of each type of disks, in the length unit of the file, for a file without radii, as 1:1.0,2:1.4",
-    )
+    text = "diameter of each type of disks, in the length unit of the file, for a file without radii, as 1:1.0,2:1.4"
+    p.add_argument("--diameters", type=diameters, metavar="TYPE:X,…", help=text)
 
 
 def packings(p: Parser) -> None:
@@ -426,95 +305,46 @@ def packings(p: Parser) -> None:
 
 def disks(p: Parser) -> None:
     """Add the options of disks, model and integrator."""
-    p.add_argument(
-        "--model",
-        type=lambda text: text.split(","),
-        metavar="NAME,…",
-        help=f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below",
-    )
+    text = f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below"
+    p.add_argument("--model", type=lambda text: text.split(","), metavar="NAME,…", help=text)
     damping(p)
-    p.add_argument(
-        "--particles", type=Within(whole, ranges.SHEARED), metavar="N,…", help="numbers of disks, even (default 1024)"
-    )
-    p.add_argument(
-        "--phi",
-        type=Within(evenly, ranges.PHI),
-        metavar="X,…",
-        help="packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)",
-    )
-    p.add_argument(
-        "--Q",
-        type=Within(numbers, ranges.Q),
-        default="1",
-        metavar="X,…",
-        help="elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)",
-    )
+    text = "numbers of disks, even (default 1024)"
+    p.add_argument("--particles", type=Within(whole, ranges.SHEARED), metavar="N,…", help=text)
+    text = "packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)"
+    p.add_argument("--phi", type=Within(evenly, ranges.PHI), metavar="X,…", help=text)
+    text = "elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)"
+    p.add_argument("--Q", type=Within(numbers, ranges.Q), default="1", metavar="X,…", help=text)
     either = p.add_mutually_exclusive_group()
     either.add_argument("--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)")
-    either.add_argument(
-        "--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help="many seeds: A to B, both counted"
+    text = "many seeds: A to B, both counted"
+    either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help=text)
+    text = (
+        "start from the end of a run, from a packing, or from the folder of a LAMMPS run (export --to "
+        "lammps), not from random positions"
     )
-    p.add_argument(
-        "--start",
-        type=path,
-        metavar="FILE",
-        help="start from the end of a run, from a packing, or from the folder of a LAMMPS run "
-        "(export --to lammps), not from random positions",
+    p.add_argument("--start", type=path, metavar="FILE", help=text)
+    text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"
+    p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
+    text = (
+        "time step in tau_e, divided where the contacts demand it (default: one that keeps the energy budget "
+        "within 1 percent, at most 0.05)"
     )
-    p.add_argument(
-        "--integrator",
-        choices=INTEGRATORS,
-        default="heun",
-        help="heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)",
+    p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X", help=text)
+    text = "exponent of the repulsion V ~ overlap^X (default 2, or that of --start)"
+    p.add_argument("--exponent", type=Within(number, ranges.EXPONENT), metavar="X", help=text)
+    text = "Stokes drag on disks, in m/tau_e: force -X times the velocity relative to the affine flow (default 0)"
+    p.add_argument("--stokes-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
+    text = (
+        "Stokes drag on their rotation, in m ds^2/tau_e: torque -X times the spin relative to that of the "
+        "flow (default 0)"
     )
-    p.add_argument(
-        "--dt",
-        type=Within(number, ranges.DT),
-        metavar="X",
-        help="time step in tau_e, divided where the contacts demand it (default: one that keeps "
-        "the energy budget within 1 percent, at most 0.05)",
-    )
-    p.add_argument(
-        "--exponent",
-        type=Within(number, ranges.EXPONENT),
-        metavar="X",
-        help="exponent of the repulsion V ~ overlap^X (default 2, or that of --start)",
-    )
-    p.add_argument(
-        "--stokes-drag",
-        type=Within(number, ranges.DRAG),
-        default=0.0,
-        metavar="X",
-        help="Stokes drag on disks, in m/tau_e: force -X times the velocity relative to the affine flow (default 0)",
-    )
-    p.add_argument(
-        "--rotational-drag",
-        type=Within(number, ranges.DRAG),
-        default=0.0,
-        metavar="X",
-        help="Stokes drag on their rotation, in m ds^2/tau_e: torque -X times the spin relative to that of the flow "
-        "(default 0)",
-    )
-    p.add_argument(
-        "--threads",
-        type=Within(integer, ranges.THREADS),
-        default=1,
-        metavar="T",
-        help="threads of a run; useful from 10000 disks on (default 1)",
-    )
-    p.add_argument(
-        "--row-time",
-        type=Within(number, ranges.ROW_TIME),
-        metavar="X",
-        help="tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)",
-    )
-    p.add_argument(
-        "--frames",
-        type=Within(integer, ranges.FRAMES),
-        default=0,
-        metavar="K",
-        help="number of snapshots for OVITO, in the folder OUT.frames (default 0)",
-    )
+    p.add_argument("--rotational-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
+    text = "threads of a run; useful from 10000 disks on (default 1)"
+    p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
+    text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"
+    p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
+    text = "number of snapshots for OVITO, in the folder OUT.frames (default 0)"
+    p.add_argument("--frames", type=Within(integer, ranges.FRAMES), default=0, metavar="K", help=text)
     output(p, "RUN.h5", "the run, or a folder for several")
 
 
@@ -543,26 +373,16 @@ def prestress(p: Parser) -> None:
     """Add the options for the terms of K."""
     either = p.add_mutually_exclusive_group()
     p.set_defaults(prestress=[True])
-    either.add_argument(
-        "--no-prestress", dest="prestress", action="store_const", const=[False], help="leave out the force term of K"
-    )
-    either.add_argument(
-        "--prestress-both",
-        dest="prestress",
-        action="store_const",
-        const=[True, False],
-        help="compute both, with and without the force term",
-    )
+    text = "leave out the force term of K"
+    either.add_argument("--no-prestress", dest="prestress", action="store_const", const=[False], help=text)
+    text = "compute both, with and without the force term"
+    either.add_argument("--prestress-both", dest="prestress", action="store_const", const=[True, False], help=text)
 
 
 def team_size(p: Parser) -> None:
     """Add the option for the distribution of ranks."""
-    p.add_argument(
-        "--team-size",
-        type=Within(integer, ranges.RANKS),
-        metavar="R",
-        help="ranks that work together on one packing (default 1; more if packings are few or large)",
-    )
+    text = "ranks that work together on one packing (default 1; more if packings are few or large)"
+    p.add_argument("--team-size", type=Within(integer, ranges.RANKS), metavar="R", help=text)
 
 
 def add(known: argparse._SubParsersAction[Parser], verb: str, work: Work, text: str, epilog: str = "") -> Parser:
