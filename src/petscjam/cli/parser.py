@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from petscjam.base import ranges
 from petscjam.base.arguments import (
@@ -43,6 +43,7 @@ from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
 
 Work = Callable[[argparse.Namespace, Comm], None]
+Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
 
@@ -102,7 +103,17 @@ def build_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"petscjam {release('petscjam')}")
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
+    for verb in (_prepare, _info, _import, _export, _moduli):
+        verb(known)
+    for name, kind in KINDS.items():
+        if kind.text:
+            add(known, kind.verb or name, analyses.analyse, kind.text, RANKS).declare = partial(declare, kind=name)
+    for verb in (_shear, _ramp, _figure, _plot):
+        verb(known)
+    return parser
 
+
+def _prepare(known: Verbs) -> None:
     p = add(known, "prepare", verbs.prepare, "make packings of bidisperse disks at target pressures", RANKS)
     text = "numbers of disks (default 1024)"
     p.add_argument("--particles", type=Within(whole, ranges.PREPARED), default="1024", metavar="N,…", help=text)
@@ -133,6 +144,8 @@ def build_parser() -> Parser:
     p.add_argument("--config", type=path, metavar="FILE.toml", help=text)
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
+
+def _info(known: Verbs) -> None:
     p = add(
         known,
         "info",
@@ -142,6 +155,8 @@ def build_parser() -> Parser:
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     reading(p)
 
+
+def _import(known: Verbs) -> None:
     p = add(known, "import", verbs.import_, "import a packing of another program (lengths are not rescaled)")
     text = "jamBashBulk text, jsrc or jax-md netCDF, GSD, LAMMPS data or dump, extended XYZ, H5MD"
     p.add_argument("file", type=path, metavar="FILE", help=f"{text}; also compressed by gzip, bzip2 or xz")
@@ -152,6 +167,8 @@ def build_parser() -> Parser:
     p.add_argument("--shear-stabilised", action="store_true", help="of --relax: as for prepare")
     output(p, "OUT", "packing (HDF5, H5MD layout)", resume=False)
 
+
+def _export(known: Verbs) -> None:
     p = add(known, "export", verbs.export, "write a packing, a modulus or a sheared run for other programs")
     p.add_argument("file", type=path, metavar="FILE")
     text = (
@@ -173,6 +190,8 @@ def build_parser() -> Parser:
     p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help=text)
     output(p, "OUT", "file to write (default: FILE with the extension of the format)", required=False, resume=False)
 
+
+def _moduli(known: Verbs) -> None:
     p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
     text = (
@@ -199,10 +218,8 @@ def build_parser() -> Parser:
     p.add_argument("--block-low-rank", type=Within(number, ranges.COMPRESSION), default=0.0, metavar="X", help=text)
     output(p, "OUT.h5", "results, one group for each packing")
 
-    for name, kind in KINDS.items():
-        if kind.text:
-            add(known, kind.verb or name, analyses.analyse, kind.text, RANKS).declare = partial(declare, kind=name)
 
+def _shear(known: Verbs) -> None:
     text = "shear massive disks at a constant rate, in steps of the rate, or in oscillation (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
     text = "strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)"
@@ -220,6 +237,8 @@ def build_parser() -> Parser:
     p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES", help=text)
     disks(p)
 
+
+def _ramp(known: Verbs) -> None:
     text = "increase the strain rate in small steps, and decrease it again (VOT eqs. 38-41)"
     p = add(known, "ramp", shearing.ramp, text, RANKS)
     text = "first strain rate, in 1/tau_e (default 1e-6)"
@@ -230,6 +249,8 @@ def build_parser() -> Parser:
     p.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X", help=text)
     disks(p)
 
+
+def _figure(known: Verbs) -> None:
     listing = "; ".join(f"{name}: {text}" for name, text in FIGURES.items())
     p = add(
         known,
@@ -247,6 +268,8 @@ def build_parser() -> Parser:
     text = "folder of packings, results, NAME.png and NAME.md, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 
+
+def _plot(known: Verbs) -> None:
     text = "draw a packing, a file of results, a sheared run, or a folder of packings or of runs (flow curves)"
     p = add(known, "plot", verbs.plot, text)
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
@@ -259,7 +282,6 @@ def build_parser() -> Parser:
         required=False,
         resume=False,
     )
-    return parser
 
 
 def declare(p: Parser, kind: str) -> None:
@@ -385,7 +407,7 @@ def team_size(p: Parser) -> None:
     p.add_argument("--team-size", type=Within(integer, ranges.RANKS), metavar="R", help=text)
 
 
-def add(known: argparse._SubParsersAction[Parser], verb: str, work: Work, text: str, epilog: str = "") -> Parser:
+def add(known: Verbs, verb: str, work: Work, text: str, epilog: str = "") -> Parser:
     """Add a verb whose options are known by name to :func:`misspelt`.
 
     Parameters
