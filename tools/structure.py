@@ -62,10 +62,12 @@ def circles(graph):
 
 
 def undescribed(tree):
-    """Public functions of two or more arguments whose docstring has no Parameters."""
+    """Public functions of two or more arguments without Parameters; not those in functions and private classes."""
     count = 0
-    for node in ast.walk(tree):
-        if isinstance(node, FUNCTION) and not node.name.startswith("_") and arguments(node) >= 2:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            count += undescribed(node)
+        elif isinstance(node, FUNCTION) and not node.name.startswith("_") and arguments(node) >= 2:
             count += "Parameters\n" not in (ast.get_docstring(node) or "")
     return count
 
