@@ -15,6 +15,7 @@ from petscjam.cli.verbs import say
 from petscjam.parallel.comm import Comm, on_root
 
 if TYPE_CHECKING:
+    from petscjam.md.grid import Point
     from petscjam.md.protocols import Protocol
 
 
@@ -64,13 +65,10 @@ def ramp(options: argparse.Namespace, comm: Comm) -> None:
 
 def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], Protocol], rates: list[float]) -> None:
     from petscjam.base.progress import progress
-    from petscjam.md.grid import grid, run_grid
+    from petscjam.md.grid import run_grid
     from petscjam.md.runs import run
     from petscjam.plots.tables import describe_run
 
-    if options.model and law_options(options):
-        raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
-    models: list[Any] = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
     names = "start integrator dt threads exponent stokes_drag rotational_drag row_time frames"
     common = {name: getattr(options, name) for name in names.split()}
 
@@ -89,42 +87,38 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
         for text in done.warnings:
             print(f"petscjam: warning: {file}: {text}", file=sys.stderr, flush=True)
 
+    points = _points(options, rates)
+    existing = {"resume": options.resume, "overwrite": options.overwrite}
+    if len(points) == 1 and not options.output.is_dir():
+
+        def one() -> str:
+            with progress(options.verb, show=True) as report:
+                done = work(**vars(points[0]), output=options.output, progress=report, **existing)
+            log(options.output, done)
+            return describe_run(done)
+
+        say(comm, on_root(comm, one))
+        return
+    if options.start is not None and (options.particles is None or options.phi is None):
+        raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
+    with progress(options.verb, show=comm.rank == 0) as report:
+        made, failures = run_grid(points, options.output, work, comm=comm, progress=report, log=log, **existing)
+    say(comm, f"{made} of {len(points)} runs: {options.output}")
+    if failures:
+        raise SolverError("".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)]))
+
+
+def _points(options: argparse.Namespace, rates: list[float]) -> list[Point]:
+    """Return the runs that are asked for."""
+    from petscjam.md.grid import grid
+
+    if options.model and law_options(options):
+        raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
+    models = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
     start = options.start is not None
     if start and (options.seeds or options.seed is not None):
         raise InputError(f"{options.verb}: --seed and --seeds go without --start: nothing would be random")
     sizes = options.particles or [None if start else 1024]
     phis = options.phi or [None if start else 0.82]
     seeds = options.seeds or [1 if options.seed is None else options.seed]
-    points = grid(models, sizes, phis, options.Q, rates, seeds)
-    if len(points) == 1 and not options.output.is_dir():
-
-        def one() -> str:
-            with progress(options.verb, show=True) as report:
-                done = work(
-                    **vars(points[0]),
-                    output=options.output,
-                    resume=options.resume,
-                    overwrite=options.overwrite,
-                    progress=report,
-                )
-            log(options.output, done)
-            return describe_run(done)
-
-        say(comm, on_root(comm, one))
-        return
-    if start and (options.particles is None or options.phi is None):
-        raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
-    with progress(options.verb, show=comm.rank == 0) as report:
-        made, failures = run_grid(
-            points,
-            options.output,
-            work,
-            comm=comm,
-            resume=options.resume,
-            overwrite=options.overwrite,
-            progress=report,
-            log=log,
-        )
-    say(comm, f"{made} of {len(points)} runs: {options.output}")
-    if failures:
-        raise SolverError("".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)]))
+    return grid(models, sizes, phis, options.Q, rates, seeds)
