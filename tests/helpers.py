@@ -85,8 +85,7 @@ def triangular_lattice(n):
 
 def twin_contacts(packing, rattlers=False):
     """Return the contacts that the slow twin finds; ``rattlers`` keeps those of disks with fewer than three."""
-    relative = packing.potential_name == "harmonic-relative"
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, relative)
+    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, packing.potential)
     return found if rattlers else reference.without_rattlers(found, len(packing))
 
 

@@ -5,10 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import twin_matrices
 
 import petscjam as pj
 from petscjam.geometry.potential import POTENTIALS
 from petscjam.md.observables import BLOCKS, ROWS
+from petscjam.md.simulation import Simulation
+from petscjam.reference import linear as reference
+from petscjam.reference import md as twin
 from petscjam.rows.damping import LAWS
 from petscjam.rows.kinematics import STRAINS
 
@@ -56,13 +60,20 @@ def test_a_damping_law(example):
     assert run.rows["heat"].sum() > 0
 
 
-def test_a_potential(example):
+def test_a_potential(example, capsys):
     names = example("A potential")
     packing, run = names["packing"], names["run"]
+    errors = [float(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(errors) == 2
+    assert max(errors) < 1e-6
     assert packing.certificate.proved
-    assert packing.potential.exponent == 3
-    assert run.state.potential_name == packing.potential_name == "cubic"
+    assert run.state.potential_name == packing.potential_name == "cosh"
     assert run.missed < 0.01
+    K, B, _ = twin_matrices(packing, pj.ContactDamping())
+    G = [reference.modulus(K, B, omega, packing.box.area) for omega in (1e-9, 1.0)]
+    assert names["g"].values == pytest.approx(G, rel=1e-7)
+    model = run.settings.model
+    assert sum(Simulation(run.state, model).energy()) == pytest.approx(twin.energy(run.state, model), rel=1e-12)
 
 
 def test_a_strain_mode(example):

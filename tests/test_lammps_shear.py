@@ -182,7 +182,7 @@ def test_log_without_a_table_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"model": Model(MODELS["CD"], 1.0, POTENTIALS["hertzian"])}, "exponent.*2.5"),
+        ({"model": Model(MODELS["CD"], 1.0, POTENTIALS["hertzian"])}, "harmonic.*hertzian"),
         ({"model": Model(MODELS["CD"], Q=1.0, stokes_drag=0.1)}, "affine flow.*0.1"),
         ({"model": Model(StokesDrag(), Q=2.0)}, "affine flow.*0.5"),
         ({"model": Model(MODELS["CD_rot"], Q=1.0, rotational_drag=0.2)}, "rotations.*0.2"),

@@ -265,11 +265,10 @@ def linearised(state, model, masses):
     K = np.zeros((2 * n, 2 * n))
     for c in twin.contacts(still, model):
         d, distance = state.radii[[c.i, c.j]].sum(), np.hypot(*c.r)
-        alpha = model.potential.exponent
         row = np.zeros((n, 2))
         row[c.i], row[c.j] = c.r / distance, -c.r / distance
-        stiffness = twin.stiffness(d, model) * (alpha - 1) * (d - distance) ** (alpha - 2)
-        K += stiffness * np.outer(row, row)
+        x, unit = twin.overlap(d, distance, model)
+        K += model.potential.d2U(x) / unit**2 * np.outer(row, row)
     return np.array(B).T, (K.reshape(n, -1) / masses[:, None]).reshape(K.shape)
 
 

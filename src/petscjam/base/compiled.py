@@ -6,12 +6,15 @@ import os
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from functools import cache
+from typing import Any, TypeVar, cast
 
 from petscjam.base.errors import InputError, shown
 
 try:
     import numba
+    from llvmlite import ir
+    from numba.extending import intrinsic
 
     numba.get_num_threads()  # starts them: a missing threading layer raises here
 except Exception as error:
@@ -48,6 +51,46 @@ def njit(**options: Any) -> Callable[[T], T]:
         return loop
 
     return decorate
+
+
+@cache
+def compiled(function: Callable[..., Any], what: str) -> Any:
+    """Compile a function of one number, for :func:`call`.
+
+    Parameters
+    ----------
+    function : callable
+    what : str
+        What the function belongs to, for the message.
+
+    Raises
+    ------
+    InputError
+        If numba cannot compile it.
+    """
+    one = numba.njit(error_model="numpy")(function)
+    try:  # np.where returns a 0-d array; the product is a number
+        return numba.cfunc("float64(float64)", error_model="numpy")(lambda x: 1.0 * one(x))
+    except numba.core.errors.NumbaError as error:
+        raise InputError(f"{what}: numba cannot compile it: {' '.join(str(error).split())}") from error
+
+
+@cast(Any, intrinsic)  # type: ignore[untyped-decorator]
+def call(context: Any, address: Any, x: Any) -> Any:
+    """Call a :func:`compiled` function; a loop that calls it is compiled once for all functions.
+
+    Parameters
+    ----------
+    address : int
+    x : float
+    """
+    number = numba.float64
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
+        return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
+
+    return number(numba.int64, number), generate
 
 
 def _forgiving(work: Callable[..., Any], clear: Callable[[], None]) -> Callable[..., Any]:

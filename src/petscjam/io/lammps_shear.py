@@ -190,7 +190,7 @@ def _texts(state: State, model: Model, settings: Mapping[str, float]) -> dict[st
 def _check_model(state: State, model: Model) -> None:
     """Refuse what LAMMPS cannot express."""
     for value, good, what in (
-        (model.potential.exponent, model.potential.exponent == 2, "the exponent 2 only, not"),
+        (model.potential.name, model.potential.exponent == 2, "harmonic potentials only, not"),
         (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
         (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
         (model.rotational_drag, model.rotational_drag == 0, "no drag on rotations, but there is"),
@@ -292,7 +292,7 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
 def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> str:
     """Return the commands up to the forces: damping ``normal``, and ``ratio`` times this for tangential damping."""
     pairs = [
-        f"pair_coeff {a} {b} hooke {potential.spring_constant(ra + rb)} {normal} damping velocity "
+        f"pair_coeff {a} {b} hooke {potential.k(ra + rb)} {normal} damping velocity "
         f"tangential linear_nohistory {ratio} 1.0e30"
         for (a, ra), (b, rb) in combinations_with_replacement(enumerate(np.unique(radii), 1), 2)
     ]

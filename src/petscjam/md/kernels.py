@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.base.compiled import BATCH, FAST, njit, prange
+from petscjam.base.compiled import BATCH, FAST, call, njit, prange
 from petscjam.base.types import Array
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.md.engine import (
@@ -50,7 +50,8 @@ class Law(NamedTuple):
     """A model for the kernels.
 
     An exponent of 2 is given as None: with a power the loop does not vectorise. ``absolute`` is 1 where overlaps
-    count as they are, None where they count relative to σ.
+    count as they are, None where they count relative to σ. ``U``, ``dU`` and ``d2U`` are addresses
+    (:class:`petscjam.geometry.potential.Compiled`).
     """
 
     normal: float
@@ -60,6 +61,9 @@ class Law(NamedTuple):
     absolute: float | None
     body: float
     rotational_drag: float
+    U: int | None
+    dU: int | None
+    d2U: int | None
 
 
 class Disks(NamedTuple):
@@ -108,23 +112,27 @@ class Scheme(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute):
+def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute, dU):
     """Return elastic force over distance, damping force on i, and 1 if they touch.
 
-    r and u are position and velocity of j against i, u at the contact point if the law rolls. The exponent is an
-    argument, since numba leaves out the branches of a None only there.
+    r and u are position and velocity of j against i, u at the contact point if the law rolls. The last three are
+    arguments, since numba removes the branch for a None only then.
     """
     near = 1.0 / np.sqrt(rx * rx + ry * ry)
     overlap = 1.0 - (rx * rx + ry * ry) * near * inverse
-    touch = 1.0 if overlap > 0.0 else 0.0
+    touch = 1.0 if overlap >= 0.0 else 0.0
     overlap *= touch
-    spring = overlap if exponent is None else overlap ** (exponent - 1.0)
+    if dU is None:
+        spring = overlap if exponent is None else overlap ** (exponent - 1.0)
+    else:
+        unit = 1.0 if absolute is None else inverse
+        spring = call(dU, overlap / unit) if overlap > 0.0 else 0.0
     along = (law.normal - law.tangential) * (ux * rx + uy * ry) * near * near
     gx = touch * (law.tangential * ux + along * rx)
     gy = touch * (law.tangential * uy + along * ry)
     if absolute is None:
         spring *= inverse
-    else:
+    elif dU is None:
         spring /= inverse if exponent is None else inverse ** (exponent - 1.0)
     return spring * near, gx, gy, touch
 
@@ -197,7 +205,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
     """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
-    rest, sums, exponent, absolute = len(pairs.chunks) - 1, measured.sums, law.exponent, law.absolute
+    rest, sums, exponent, absolute, dU = len(pairs.chunks) - 1, measured.sums, law.exponent, law.absolute, law.dU
     end = len(pairs.i) if chunk == rest else pairs.chunks[chunk + 1]
     for start in range(pairs.chunks[chunk], end, BATCH):
         n = min(BATCH, end - start)
@@ -214,7 +222,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute)
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute, dU)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c], V[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx), touch
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
@@ -225,7 +233,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute)
+                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute, dU)
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx)
         for c in range(n):
@@ -527,10 +535,13 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
 
 
 @njit(cache=True, error_model="numpy")
-def _stiffness(law, exponent, distance, inverse):
+def _stiffness(law, exponent, d2U, distance, inverse):
     """Return k of a contact at ``distance``, in units of σ = 1/``inverse``: V″ in ke/ds² (VOT eq. 1)."""
     k = inverse * inverse if law.absolute is None else 1.0
-    if exponent != 2.0:
+    if d2U is not None:
+        unit = 1.0 if law.absolute is None else inverse
+        k *= call(d2U, (1.0 - distance) / unit)
+    elif exponent != 2.0:
         k *= (exponent - 1.0) * (1.0 - distance) ** (exponent - 2.0)
         if law.absolute is not None:
             k *= inverse ** (2.0 - exponent)
@@ -551,17 +562,17 @@ def _moments(q, pairs, law, exponent, strain):
         if c >= images:
             X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * strain) * L * inverse
             Y[c] += pairs.ny[c - images] * L * inverse
-        if X[c] * X[c] + Y[c] * Y[c] < 1.0:
+        if X[c] * X[c] + Y[c] * Y[c] <= 1.0:
             z[a] += 1.0
             z[b] += 1.0
     s = np.zeros((len(q), 9))
     for c in range(len(pairs.i)):
         x, y = X[c], Y[c]
         square = x * x + y * y
-        if square < 1.0:
+        if square <= 1.0:
             a, b, sign = pairs.i[c], pairs.j[c], 1.0
             cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
-            k = _stiffness(law, exponent, np.sqrt(square), pairs.inverse[c])
+            k = _stiffness(law, exponent, law.d2U, np.sqrt(square), pairs.inverse[c])
             for _ in range(2):
                 w = 1.0 + z[b] / z[a]
                 s[a, 0] += w
@@ -590,7 +601,7 @@ def fastest(disks, pairs, law, exponent, strain):
     pairs : Pairs
     law : Law
     exponent : float
-        α of the repulsion.
+        α of the repulsion, if it is a power.
     strain : float
         γ.
 
@@ -613,8 +624,18 @@ def fastest(disks, pairs, law, exponent, strain):
 
 
 @njit(cache=True, error_model="numpy")
+def _energy(law, exponent, U, overlap, inverse):
+    """Return U of a contact, k δ^α/α of a power (VOT eq. 1), in m ds²/τe²."""
+    if U is not None:
+        unit = 1.0 if law.absolute is None else inverse
+        return call(U, overlap / unit)
+    scale = 1.0 if law.absolute is None else inverse**-exponent
+    return scale * overlap**exponent / exponent
+
+
+@njit(cache=True, error_model="numpy")
 def elastic_energy(q, pairs, law, exponent, strain):
-    """Return Σ k δ^α/α over the contacts (VOT eq. 1), in m ds²/τe².
+    """Return the sum of U over the contacts, in m ds²/τe².
 
     Parameters
     ----------
@@ -628,8 +649,7 @@ def elastic_energy(q, pairs, law, exponent, strain):
         x, y, _, _ = separation(c, q, pairs, strain, 0.0)
         overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
         if overlap > 0.0:
-            scale = 1.0 if law.absolute is None else pairs.inverse[c] ** -exponent
-            energy += scale * overlap**exponent / exponent
+            energy += _energy(law, exponent, law.U, overlap, pairs.inverse[c])
     return energy
 
 

@@ -94,7 +94,9 @@ class Simulation:
             absolute,
             float(model.body),
             float(model.rotational_drag),
+            *model.potential.compiled,
         )
+        self._exponent = model.potential.exponent or 1.0
         self._threads = True if threads > 1 else None  # None: the kernel of one thread alone is compiled
         self.skin = SKIN
         self.steps = self.rebuilds = self.substeps = 0
@@ -132,7 +134,7 @@ class Simulation:
 
     def fastest(self) -> tuple[float, float]:
         """Bound the largest eigenvalues of M⁻¹B, in 1/τe, and M⁻¹K, in 1/τe², with the contacts of the moment."""
-        return kernels.fastest(self._disks, self._pairs, self._law, self.model.potential.exponent, self.strain)
+        return kernels.fastest(self._disks, self._pairs, self._law, self._exponent, self.strain)
 
     def demand(self) -> int:
         """Return into how many parts a step must be divided to be stable with the contacts of the moment."""
@@ -259,8 +261,7 @@ class Simulation:
     def energy(self) -> tuple[float, float, float]:
         """Return the elastic, the peculiar kinetic and the rotational energy, in m ds²/τe²."""
         d = self._disks
-        exponent = self.model.potential.exponent
-        elastic = kernels.elastic_energy(d.q, self._pairs, self._law, exponent, self.strain)
+        elastic = kernels.elastic_energy(d.q, self._pairs, self._law, self._exponent, self.strain)
         c = d.q[:, 2:4].copy()
         c[:, 0] -= self.rate * d.q[:, 1]
         return float(elastic), float(d.m @ (c**2).sum(1)) / 2, float(d.m @ d.q[:, 4] ** 2) / 4

@@ -138,7 +138,10 @@ def _exponent(rows: Sequence[Mapping[str, Any]]) -> float:
     first, *others = sorted({row["potential"] for row in rows})
     if others:
         raise InputError(f"library: mixed units: the potentials are {', '.join([first, *others])}")
-    return 1 / (potential(first).exponent - 1)
+    alpha = potential(first).exponent
+    if alpha is None:
+        raise InputError(f"library: the potential {first} is not a power of the overlap: no exponents near jamming")
+    return 1 / (alpha - 1)
 
 
 def _summary(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -76,7 +76,6 @@ class Enthalpy:
         self.unit = packing.potential.unit(self.diameter)
         self.weight = len(packing) ** 0.5 * self.diameter
         self.cell = CellStrains(self.strains, self.weight, np.nan if pressure is None else pressure, packing.box.area)
-        self.exponent = packing.potential.exponent
         self.budget, self.report = budget, report
         self.evaluations = evaluations
         self.now = Forces(np.nan, np.nan, np.full(3, np.nan))
@@ -198,7 +197,9 @@ class Enthalpy:
         self._built_at = self.evaluations
         self.pairs = self._list(z)
         sums = np.zeros((len(self.pairs.chunks), 4))
-        self._system = System(len(self.radii), self.cell, self.pairs, self.exponent, self._threads, self._mapped, sums)
+        n, law = len(self.radii), self.packing.potential
+        loops = law.exponent or 1.0, law.compiled, self._threads
+        self._system = System(n, self.cell, self.pairs, *loops, self._mapped, sums)
         return self._system
 
     def _list(self, z: Array) -> NeighbourList:
@@ -210,7 +211,7 @@ class Enthalpy:
         i, j, chunks, images = find(x @ F.T, np.array(box.reduced), self.radii, self.skin)
         in_cell = np.rint(box.reduced @ np.linalg.inv(box.cell))  # exactly the same lattice
         sigma = self.radii[i] + self.radii[j]
-        k = self.packing.potential.spring_constant(sigma)
+        k = self.packing.potential.k(sigma)
         image = np.ascontiguousarray(images @ in_cell @ self.packing.box.cell).view(complex)[:, 0]
         overlap = self.packing.potential.stiffness(0.9 * sigma, sigma)
         self.stiffest = float(overlap.max(initial=1e-3 * self.unit))

@@ -110,8 +110,7 @@ def prepare_packing(
     random = np.random.default_rng(seed)
     x = random.random((n, 2))
     radii = _radii(n, ratio, composition, polydispersity, random)
-    exponent = POTENTIALS[potential_name].exponent
-    phi = 0.842 + 2.5 * pressure ** (1 / (exponent - 1))
+    phi = 0.842 + 2.5 * POTENTIALS[potential_name].overlap(pressure)
     box = Box.filled(radii, phi)
     made_by = {
         "program": "petscjam",

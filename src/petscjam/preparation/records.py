@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.types import Array
+from petscjam.geometry.potential import Compiled
 
 
 class NeighbourList(NamedTuple):
@@ -20,7 +21,7 @@ class NeighbourList(NamedTuple):
     ----------
     i, j : (C,) unsigned
     sigma, k : (C,)
-        Sum of radii; U = k δ^exponent / exponent.
+        Sum of radii; k is that of the potential (:meth:`petscjam.geometry.potential.Potential.k`).
     chunks : (R + 1,)
         Where the pairs of each chunk start; those from chunks[R] on join chunks or cross the edge.
     image : (C − chunks[R],) complex
@@ -75,6 +76,8 @@ class System(NamedTuple):
     cell : CellStrains
     pairs : NeighbourList
     exponent : float
+        α of a power law, else 1.
+    compiled : Compiled
     threads : bool
         Whether chunks are shared among threads.
     mapped : (n,) complex
@@ -87,6 +90,7 @@ class System(NamedTuple):
     cell: CellStrains
     pairs: NeighbourList
     exponent: float
+    compiled: Compiled
     threads: bool
     mapped: NDArray[np.complex128]
     sums: Array

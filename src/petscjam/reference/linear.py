@@ -22,7 +22,7 @@ class Contact(NamedTuple):
     stiffness: float
 
 
-def contacts(positions, radii, cell, relative=False, images=3):
+def contacts(positions, radii, cell, potential, images=3):
     """Return every contact, by trying all pairs and all images.
 
     Parameters
@@ -31,8 +31,8 @@ def contacts(positions, radii, cell, relative=False, images=3):
     radii : (N,)
     cell : (2, 2)
         Rows are lattice vectors.
-    relative : bool
-        Picks U = ½(1 − r/σ)² instead of U = ½(σ − r)².
+    potential : Potential
+        U′ and U″ of the overlap: σ − r, or 1 − r/σ if it is relative.
     images : int
         As many to each side.
     """
@@ -48,8 +48,9 @@ def contacts(positions, radii, cell, relative=False, images=3):
                     sigma = radii[i] + radii[j]
                     r = (rx * rx + ry * ry) ** 0.5
                     if r <= sigma:
-                        k = 1 / sigma**2 if relative else 1.0
-                        found.append(Contact(i, j, rx, ry, k * (sigma - r), k))
+                        x, unit = (1 - r / sigma, sigma) if potential.relative else (sigma - r, 1.0)
+                        force, stiffness = potential.dU(x) / unit, potential.d2U(x) / unit**2
+                        found.append(Contact(i, j, rx, ry, force, stiffness))
     return found
 
 

@@ -79,7 +79,7 @@ def touching(state):
                 for n in (-1, 0, 1):
                     rx = x[i][0] - x[j][0] - m * L - n * offset
                     ry = x[i][1] - x[j][1] - n * L
-                    if hypot(rx, ry) < radii[i] + radii[j]:
+                    if hypot(rx, ry) <= radii[i] + radii[j]:
                         vx = v[i][0] - v[j][0] - n * state.rate * L
                         yield i, j, np.array([rx, ry]), np.array([vx, v[i][1] - v[j][1]])
 
@@ -92,13 +92,13 @@ def contacts(state, model):
     state : State
     model : Model
     """
-    alpha = model.potential.exponent
     for i, j, r, v in touching(state):
         Ri, Rj, wi, wj = state.radii[i], state.radii[j], state.spins[i], state.spins[j]
         d, distance = Ri + Rj, hypot(*r)
         normal = r / distance
         tangent = turned(normal)
-        elastic = stiffness(d, model) * (d - distance) ** (alpha - 1) * normal
+        x, unit = overlap(d, distance, model)
+        elastic = model.potential.dU(x) / unit * normal
         s_ji, s_ij = -r * Ri / d, r * Rj / d  # from the centres of i and of j to the contact point
         if not model.rolls:
             s_ji, s_ij = 0 * r, 0 * r
@@ -108,16 +108,16 @@ def contacts(state, model):
         yield Contact(i, j, r, v, elastic, dissipative, *torques, -dissipative @ slip)
 
 
-def stiffness(d, model):
-    """Return k of V = k (d − r)^α / α: ke/d^α in VOT eq. 1, or the same for every pair.
+def overlap(d, distance, model):
+    """Return the overlap x of U(x), and its unit of length: 1 − r/d and d (VOT eq. 1), or d − r and 1.
 
     Parameters
     ----------
-    d : float
-        Ri + Rj, ds.
+    d, distance : float
+        Ri + Rj and r, ds.
     model : Model
     """
-    return d**-model.potential.exponent if model.potential.relative else 1.0
+    return (1 - distance / d, d) if model.potential.relative else (d - distance, 1.0)
 
 
 def disk_forces(state, model):
@@ -196,10 +196,10 @@ def energy(state, model, masses=1.0):
     model : Model
     masses : (N,) or float
     """
-    total, alpha = 0.0, model.potential.exponent
+    total = 0.0
     for i, j, r, _ in touching(state):
-        d = state.radii[i] + state.radii[j]
-        total += stiffness(d, model) * (d - hypot(*r)) ** alpha / alpha
+        x, _ = overlap(state.radii[i] + state.radii[j], hypot(*r), model)
+        total += model.potential.U(x)
     kinetic = masses * np.sum(peculiar(state) ** 2, axis=1) / 2
     return total + np.sum(kinetic + inertia(state, masses) * state.spins**2 / 2)
 
