@@ -1,18 +1,25 @@
-"""The verbs that analyse the response, and figures; each result is written when it is finished."""
+"""The verbs that analyse packings, and figures; each result is written when it is finished."""
 
 from __future__ import annotations
 
 import argparse
+import resource
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from petscjam.base.errors import InputError
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.files import naming
 from petscjam.cli.laws import chosen_laws, law_options
-from petscjam.cli.verbs import analysed, finish, say
+from petscjam.cli.verbs import in_short, say
 from petscjam.parallel.comm import Comm, on_root
 from petscjam.rows.damping import DampingLaw
+
+if TYPE_CHECKING:
+    from petscjam.io.jobs import Analysis
 
 
 def analyse(options: argparse.Namespace, comm: Comm) -> None:
@@ -78,4 +85,150 @@ def _analyse(
     from petscjam.parallel.petsc import start
 
     start(comm)
-    finish(analysed(options, comm, PackingAnalysis(function, settings), laws), "results")
+    _finish(_analysed(options, comm, PackingAnalysis(function, settings), laws), "results")
+
+
+def moduli(options: argparse.Namespace, comm: Comm) -> None:
+    """Compute G* of all packings, distributed over teams of ranks; each result is written when it is finished.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
+    import numpy as np
+
+    from petscjam.io.jobs import ModulusAnalysis
+    from petscjam.parallel.petsc import start
+    from petscjam.response.reduced import checked_rtol
+
+    start(comm)
+    laws, omega = chosen_laws(options), options.omega
+    reduced = [options.rtol is not None, options.out_of_core, options.block_low_rank > 0, options.beta_family]
+    if options.direct and any(reduced):
+        names = "--rtol, --out-of-core, --block-low-rank and --beta-family"
+        raise InputError(f"moduli: {names} go with the reduced model, not --direct")
+    rtol = 1e-6 if options.rtol is None else options.rtol
+    checked_rtol(rtol, 1e-12)
+    for w in options.fields:
+        if not omega.min() <= w <= omega.max():
+            raise InputError(f"--fields {w:g} lies outside the sweep")
+    nearest = [np.argmin(np.abs(np.log(omega / w))) for w in options.fields]
+    analysis = ModulusAnalysis(
+        omega,
+        strain=options.strain,
+        rtol=rtol,
+        direct=options.direct,
+        fields_at=omega[np.unique(np.array(nearest, dtype=int))],
+        family=options.beta_family,
+        out_of_core=options.out_of_core,
+        block_low_rank=options.block_low_rank,
+    )
+    if way := analysis.way(laws):
+        say(comm, way)
+    failures = _analysed(options, comm, analysis, laws)
+    peaks = comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    say(comm, f"peak memory of each rank: {' '.join(f'{peak:.0f}' for peak in peaks or [])} MB")
+    _finish(failures, "moduli")
+
+
+def _analysed(options: argparse.Namespace, comm: Comm, analysis: Analysis, laws: Sequence[Any] = (None,)) -> list[str]:
+    """Analyse the given packings and print the results; return the reasons of failures."""
+    from petscjam.base.progress import progress
+    from petscjam.io.jobs import Ensemble, analyse
+    from petscjam.io.results import read_results
+    from petscjam.parallel.claims import claimed
+    from petscjam.plots.tables import table
+
+    with progress(options.verb, show=comm.rank == 0) as report, claimed(options.output, comm):
+        ensemble = Ensemble(
+            on_root(comm, _all_packings, options),
+            options.output,
+            laws,
+            options.prestress,
+            team_size=options.team_size,
+            resume=options.resume,
+            overwrite=options.overwrite,
+        )
+        made, failures = analyse(
+            ensemble, analysis, comm=comm, progress=report, log=lambda line: print(line, flush=True)
+        )
+    if made or options.resume:
+        say(comm, on_root(comm, lambda: table(read_results(options.output))))
+    return failures
+
+
+def _packings_of(given: Path) -> list[Path]:
+    """Return the file itself, or the packings of a folder, without results."""
+    from petscjam.io.kinds import recognise
+
+    return [file for file in sorted(given.glob("*.h5")) if recognise(file) != "results"] if given.is_dir() else [given]
+
+
+def _all_packings(options: argparse.Namespace) -> list[Path]:
+    """Return the packings of all given files and folders; refuse if there are none.
+
+    A sheared run stands for the packing of its last state, quenched into a file in the folder of the output.
+    """
+    from petscjam.md.result import is_run
+
+    found = [file for one in options.packings for file in _packings_of(one)]
+    if not found:
+        raise InputError(f"{options.packings[0]}: no packings in this folder")
+    runs = {file: options.output.with_name(f"{file.stem}.quenched.h5") for file in found if is_run(file)}
+    if runs:
+        quenched = _quench(runs, found, options)
+        found = [runs.get(file, file) for file in found if file in quenched or file not in runs]
+    return list(dict.fromkeys(found))
+
+
+def _quench(runs: dict[Path, Path], packings: list[Path], options: argparse.Namespace) -> set[Path]:
+    """Quench the last state of each run into its file, unless the file has it already; return the jammed runs.
+
+    An error is raised only if all runs fail.
+    """
+    from petscjam.base.files import check_output
+    from petscjam.geometry.packing import Packing
+    from petscjam.md.quench import quench, snapshot
+    from petscjam.md.result import read
+    from petscjam.parallel.claims import claimed
+
+    check_output(options.output, overwrite=options.overwrite or options.resume, inputs=runs)
+    if len(set(runs.values())) < len(runs):
+        names = "".join(f"\n  {run}" for run in runs)
+        raise InputError(f"{options.output}: runs of one name would be quenched into one file there:{names}")
+    with ExitStack() as claims:
+        for target in runs.values():
+            claims.enter_context(claimed(target))
+        starts = {}
+        for run, target in runs.items():
+            with naming(run):
+                start = snapshot(read(run))
+            if target.exists() and Packing.read(target).provenance.get("quenched") == start.checksum:
+                print(f"{run}: quenched already: {target}", flush=True)
+            else:
+                inputs = [options.output, *packings]
+                check_output(target, overwrite=options.overwrite, inputs=inputs)
+                starts[run] = start
+        failures: dict[Path, Exception] = {}
+        for run, start in starts.items():
+            try:
+                with naming(run):
+                    packing = quench(start)
+            except (InputError, SolverError) as error:
+                failures[run] = error
+                continue
+            packing.write(runs[run], overwrite=True)
+            print(f"{run}: quenched: {runs[run]} ({in_short(packing)})", flush=True)
+        if len(failures) == len(runs):
+            raise next(iter(failures.values()))
+        for failure in failures.values():
+            print(f"petscjam: warning: left out: {failure}", file=sys.stderr, flush=True)
+        return set(runs) - set(failures)
+
+
+def _finish(failures: list[str], what: str) -> None:
+    """Raise an error if some packings failed."""
+    if failures:
+        lines = "".join(f"\n  {failure}" for failure in failures)
+        raise SolverError(f"{len(failures)} {what} failed; --resume tries them again:{lines}")

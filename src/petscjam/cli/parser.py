@@ -27,7 +27,7 @@ from petscjam.base.arguments import (
 )
 from petscjam.base.errors import InputError
 from petscjam.base.versions import release
-from petscjam.cli import analyses, shearing, verbs
+from petscjam.cli import analyses, exports, shearing, verbs
 from petscjam.cli.config import settings
 from petscjam.cli.laws import option
 from petscjam.cli.renamed import current
@@ -169,7 +169,7 @@ def _import(known: Verbs) -> None:
 
 
 def _export(known: Verbs) -> None:
-    p = add(known, "export", verbs.export, "write a packing, a modulus or a sheared run for other programs")
+    p = add(known, "export", exports.export, "write a packing, a modulus or a sheared run for other programs")
     p.add_argument("file", type=path, metavar="FILE")
     text = (
         "of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and freud), h5md "
@@ -192,7 +192,7 @@ def _export(known: Verbs) -> None:
 
 
 def _moduli(known: Verbs) -> None:
-    p = add(known, "moduli", verbs.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
+    p = add(known, "moduli", analyses.moduli, "complex modulus G*(omega) and its exact limits", RANKS)
     packings(p)
     text = (
         "angular frequencies in 1/tau1: A:B:N, evenly in log omega, both ends counted, or a list A,B,… "
