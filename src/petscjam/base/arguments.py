@@ -7,10 +7,13 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from petscjam.base.errors import shown
 from petscjam.base.ranges import Range
+
+if TYPE_CHECKING:
+    from petscjam.base.types import Array
 
 MOST = 1_000_000  # seeds, or points of a range
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
@@ -116,7 +119,7 @@ def seeds(text: str) -> list[int]:
     return list(range(first, last + 1))
 
 
-def points(text: str) -> Any:
+def points(text: str) -> Array:
     """Parse ``A:B:N`` (evenly in the logarithm, both ends counted) or ``A,B,…``, all above 0."""
     import numpy as np
 
@@ -146,7 +149,7 @@ def points(text: str) -> Any:
     return np.array([float(f"{x:.12g}") for x in np.geomspace(values[0], values[1], count)])
 
 
-def frequencies(text: str) -> Any:
+def frequencies(text: str) -> Array:
     """Parse :func:`points`; a range goes up."""
     omega = points(text)
     if ":" in text and omega[-1] < omega[0]:

@@ -262,7 +262,7 @@ def open_h5(path: str | PathLike[str]) -> Iterator[h5py.File]:
             yield file
 
 
-def check_type(name: str, value: Any, annotation: str) -> None:
+def check_type(name: str, value: object, annotation: str) -> None:
     """Refuse a ``value`` of another type than the annotation of a dataclass; None and unknown types are accepted.
 
     Parameters

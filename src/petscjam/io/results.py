@@ -253,7 +253,7 @@ def _write_fields(node: h5py.Group, result: Result) -> None:
         _write(node, item.name, getattr(result, item.name), item.metadata.get("unit"))
 
 
-def _write(node: h5py.Group, name: str, value: Any, unit: str | None = None) -> None:
+def _write(node: h5py.Group, name: str, value: object, unit: str | None = None) -> None:
     if isinstance(value, np.ndarray):
         node[name] = value
         if unit:

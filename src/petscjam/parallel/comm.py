@@ -66,7 +66,7 @@ def resolve(comm: Comm | None = None) -> Comm:
     return MPI.COMM_SELF
 
 
-def agree(comm: Comm, *arguments: Any) -> None:
+def agree(comm: Comm, *arguments: object) -> None:
     """Refuse arguments that differ between ranks, which would wait for each other without end. Collective.
 
     Packings are compared by checksum, arrays by value, anything else by its text.
@@ -75,7 +75,7 @@ def agree(comm: Comm, *arguments: Any) -> None:
         raise InputError("the arguments (packing, frequencies, law, …) differ between the ranks")
 
 
-def _told(argument: Any) -> str:
+def _told(argument: object) -> str:
     checksum = getattr(argument, "checksum", None)
     return checksum or repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
 

@@ -178,7 +178,7 @@ def _missing(
     return 0, sigma, [f"the last {wanted.sum()} are of {equal} equal ones: the choice among these is arbitrary"]
 
 
-def settled(A: Any, metric: Any, pairs: Pairs, count: int, probe: Array, least: float) -> Pairs:
+def settled(A: Mat, metric: Mat | None, pairs: Pairs, count: int, probe: Array, least: float) -> Pairs:
     """Return the lowest ``count`` pairs, with vectors that depend only on the matrices, except for their signs.
 
     The vectors of equal eigenvalues make vᵀ diag(``probe``) v stationary; ``probe`` (n,) has no symmetry.

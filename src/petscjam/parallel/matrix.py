@@ -41,7 +41,7 @@ def symmetric_matrix(indptr: NDArray[Any], indices: NDArray[Any], values: NDArra
     return matrix
 
 
-def apply_real(matrix: Any, columns: NDArray[Any]) -> NDArray[Any]:
+def apply_real(matrix: Mat, columns: NDArray[Any]) -> NDArray[Any]:
     """Return ``matrix`` times local rows of real columns (n, m), two real columns as one complex vector.
 
     Parameters

@@ -54,7 +54,7 @@ class DirectSolver:
         pc.setType(PETSc.PC.Type.CHOLESKY)
         pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
-    def factor(self, A: Any) -> None:
+    def factor(self, A: Mat) -> None:
         """Factor ``A``, with more workspace if MUMPS needs it.
 
         Raises
