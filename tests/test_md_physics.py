@@ -362,7 +362,7 @@ def test_light_disks_take_small_steps():
 
 
 def test_steps_below_a_thousandth_are_refused():
-    with pytest.raises(SolverError, match="demand steps below"):
+    with pytest.raises(SolverError, match="require steps below"):
         Simulation(disks(3, 24), Model(MODELS["CD"], 1.0), 0.05, masses=np.full(24, 1e-6))
 
 

@@ -219,7 +219,7 @@ def test_the_profile_leaves_out_the_start():
     wrong[run.blocks["strain"] <= 4] = 1e3
     late = profile(replace(run, blocks={**run.blocks, "layer_vx": wrong}), after=4.0)
     assert late.vx == pytest.approx(RATE * late.y, rel=1e-12)
-    with pytest.raises(InputError, match=r"none of 12 blocks ends beyond a strain of 11"):
+    with pytest.raises(InputError, match=r"none of 12 blocks ends after a strain of 11"):
         profile(run, after=11)
 
 
@@ -248,7 +248,7 @@ def test_an_empty_layer_is_named():
     run = synthetic_run()
     disks = run.blocks["layer_disks"].copy()
     disks[:, 7] = 0
-    with pytest.raises(InputError, match="layer 7 held no disk"):
+    with pytest.raises(InputError, match="layer 7 contains no disk"):
         profile(replace(run, blocks={**run.blocks, "layer_disks": disks}))
 
 

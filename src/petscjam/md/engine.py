@@ -1,4 +1,4 @@
-"""What a run needs of an engine, which advances disks and sums what they do. Units: ds, m, τe."""
+"""The interface of an engine, which advances disks and sums observables. Units: ds, m, τe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petscjam.md.model import Model
 from petscjam.md.state import State
 
 BINS = 100  # of the collision angle, 3.6° each (VOT fig. 8)
-TICKS = 1024  # of a step: the most parts that it can be divided into, a power of 2
+TICKS = 1024  # of a step: largest number of parts, a power of 2
 # Sums over contacts and disks: L² times the elastic, dissipative and kinetic pressure tensor (VOT eqs. 12–14:
 # first index force or velocity, second index separation), contacts, power of heat and of the shear stress, and
 # energy brought by sudden changes of the strain rate.
@@ -30,10 +30,10 @@ class Totals(NamedTuple):
     Attributes
     ----------
     sums : (SUMS,)
-        By the trapezoidal rule, in units of one step, but for TOUCHING (a sum over the beginnings of steps) and
+        By the trapezoidal rule, in units of one step, except TOUCHING (a sum over the beginnings of steps) and
         JUMPS.
     counts : (3,) integers
-        Contacts made, broken, and how long the latter lasted, in ticks, :data:`TICKS` a step.
+        Contacts made, contacts broken, and the duration of the broken ones in ticks, :data:`TICKS` per step.
     angles : (2, BINS) integers
         Histograms of the collision angle at making and at breaking.
     """
@@ -44,20 +44,20 @@ class Totals(NamedTuple):
 
 
 class Engine(Protocol):
-    """Disks that are sheared step by step, and the sums of what they do.
+    """Disks that are sheared step by step, and the sums of observables.
 
     Attributes
     ----------
     dt, L : float
         Time step in τe, and edge of the cell in ds.
     strain, rate, time : float
-        Of this moment; the rate in 1/τe.
+        At the current time; the rate in 1/τe.
     steps, substeps : int
         Time steps made, and the parts into which they were divided.
     rebuilds : int
         Lists of pairs made.
     most : int
-        Parts into which a step was divided, the most since the last :meth:`collect`.
+        Largest number of parts of a step since the last :meth:`collect`.
     CHECKPOINT : mapping
         Axes of each array of a checkpoint (:func:`petscjam.base.files.check_shapes`).
     """
@@ -80,7 +80,7 @@ class Engine(Protocol):
 
     @property
     def state(self) -> State:
-        """The state at this moment, disks in the order of the start."""
+        """The current state, disks in the order of the start."""
 
     def advance(self, strains: Array, rates: Array, bulk: str) -> None:
         """Make K steps.
@@ -92,29 +92,30 @@ class Engine(Protocol):
         rates : (K,)
             γ̇ in each step, in 1/τe.
         bulk : str
-            What a change of the rate does to the disks: ``scale`` their velocities and spins with it (VOT eqs.
-            40, 41), add the change of the linear ``profile``, or leave it to the ``boundary``.
+            Effect of a change of the rate: ``scale`` velocities and spins with the rate (VOT eqs. 40, 41), add
+            the change of the linear ``profile``, or move only the ``boundary``.
 
         Raises
         ------
         SolverError
-            If the disks fly apart.
+            If velocities diverge.
         """
 
     def collect(self) -> Totals:
-        """Return the sums over the steps since the last call, and begin anew."""
+        """Return the sums over the steps since the last call, and set them to zero."""
 
     def sample(self, layers: Array, moments: Array, scatter: Array) -> Array:
-        """Add what disks and contacts do at this moment.
+        """Add observables of disks and contacts of the current state.
 
         Parameters
         ----------
         layers : (3, M)
-            Gets the number of disks, the sum of vx and the area of disks, by layer in y.
+            Number of disks, sum of vx and area of disks, by layer in y; is increased.
         moments : (5, 4)
-            Gets the sums of V_T, V^R, V^C_T, V_N (VOT eqs. 31–34, in ds γ̇) over contacts, and of their products.
+            Sums of V_T, V^R, V^C_T, V_N (VOT eqs. 31–34, in ds γ̇) over contacts, and of their products; is
+            increased.
         scatter : (4,)
-            Gets these four of one contact.
+            These four of one contact; is overwritten.
 
         Returns
         -------
@@ -125,7 +126,7 @@ class Engine(Protocol):
         """Return the elastic, the peculiar kinetic and the rotational energy, in m ds²/τe²."""
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return arrays from which :meth:`restored` goes on bit for bit; :meth:`collect` comes first."""
+        """Return arrays from which :meth:`restored` continues bit for bit; call :meth:`collect` before."""
 
     @classmethod
     def restored(cls, saved: Mapping[str, Any], model: Model, dt: float, integrator: str, threads: int) -> Engine:
@@ -145,5 +146,5 @@ class Engine(Protocol):
         Raises
         ------
         InputError
-            If the arrays contradict each other.
+            If the arrays are inconsistent.
         """

@@ -1,4 +1,4 @@
-"""Frames of a sheared run for OVITO: one extended XYZ file a moment, which OVITO opens as one animation."""
+"""Frames of a sheared run for OVITO: one extended XYZ file for each time, which OVITO opens as an animation."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from petscjam.base.files import naming, write_atomically
 from petscjam.md.fields import local_maps
 from petscjam.md.state import State
 
-SYMBOLS = "H", "He", "Li", "Be"  # species by size; still larger ones are of the last
-# OVITO knows the first five by these names, as Particle Type, Position, Radius, Velocity and Angular
-# Velocity; the others become properties of their own.
+SYMBOLS = "H", "He", "Li", "Be"  # species by size; all larger ones have the last
+# OVITO reads the first five as Particle Type, Position, Radius, Velocity and Angular Velocity; the others are
+# additional properties.
 COLUMNS = "species:S:1:pos:R:3:radius:R:1:velo:R:3:omega:R:3:peculiar:R:1:local_phi:R:1:local_rate:R:1"
 
 
 def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
-    """Write ``state`` as frame ``index`` into ``folder``, which is made if need be, and return the file.
+    """Write ``state`` as frame ``index`` into ``folder``, which is made if necessary, and return the file.
 
-    Open any of them in OVITO and it finds the others: ``frame_*.xyz``. The cell is tilted by the strain
-    modulo 1. Beside velocities (of the images in the cell) and spins each disk has the size of its peculiar
-    velocity, v − γ̇ y x̂, and the packing fraction and the strain rate around it
-    (:func:`petscjam.md.fields.local_maps`); strain, rate and time are attributes of the frame. Units: ds, m,
-    τe. :func:`petscjam.import_packing` reads a frame, too.
+    OVITO opens all frames if one of them is opened: ``frame_*.xyz``. The cell is tilted by the strain modulo 1.
+    Each disk has its velocity (of the image in the cell), spin, magnitude of the peculiar velocity, v − γ̇ y x̂,
+    and the packing fraction and the strain rate around it (:func:`petscjam.md.fields.local_maps`); strain, rate
+    and time are attributes of the frame. Units: ds, m, τe. :func:`petscjam.import_packing` can read a frame.
 
     Parameters
     ----------
@@ -46,12 +45,12 @@ def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
 
 
 def frames_of(output: str | PathLike[str]) -> Path:
-    """Return the folder of the frames of a run: that of its file, with another ending."""
+    """Return the folder of the frames of a run: that of its file, with another extension."""
     return Path(output).with_suffix(".frames")
 
 
 def remove_frames(output: str | PathLike[str], *, overwrite: bool) -> None:
-    """Remove the frames of the run that ``output`` will replace.
+    """Remove the frames of the run that ``output`` replaces.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Many runs, dealt to ranks: every combination of model, size, packing fraction, Q, strain rate and seed."""
+"""Many runs, distributed over ranks: every combination of model, size, packing fraction, Q, strain rate and seed."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Point:
 
     @property
     def name(self) -> str:
-        """Name of its file, without the ending."""
+        """Name of its file, without the extension."""
         law = self.model if isinstance(self.model, str) else str(self.model).replace(" ", "")
         return f"{law}-N{self.n}-phi{self.phi:g}-Q{self.Q:g}-rate{self.rate:g}-seed{self.seed}"
 
     @property
     def cost(self) -> float:
-        """Time that a given strain takes, in some unit."""
+        """Computing time for a given strain, in any unit."""
         return self.n / abs(self.rate) if self.rate else 0.0
 
 
@@ -86,7 +86,7 @@ def run_grid(
     progress: Report | None = None,
     log: Callable[[Path, Run], None],
 ) -> tuple[int, list[str]]:
-    """Run every point, each on one rank, into a file of its own in ``folder``.
+    """Run every point, each on one rank, into its own file in ``folder``.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def run_grid(
         ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the run.
     comm : communicator
     resume, overwrite : bool
-        What is done about files that exist; an error if neither.
+        For files that exist; an error if both are false.
     progress, log : callable
-        ``log`` gets the file and the run of each point that is done, on the rank that did it.
+        ``log`` is called with the file and the run of each finished point, on its rank.
 
     Returns
     -------
     made : int
-        Runs that are complete, those that were there before counted.
+        Number of complete runs, including existing ones.
     failures : list of str
 
     Raises
@@ -130,6 +130,6 @@ def run_grid(
         on_root(comm, unwritten)
         lost = deal(comm, points, make, cost=lambda point: point.cost, progress=progress)
         failures = [f"{point.name}: {error}" for point, error in lost]
-        if sum(isinstance(error, InputError) for _, error in lost) == len(points):  # what was asked for makes no sense
+        if sum(isinstance(error, InputError) for _, error in lost) == len(points):  # invalid arguments
             raise InputError(failures[0])
         return comm.allreduce(made), failures

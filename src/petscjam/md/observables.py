@@ -1,7 +1,7 @@
-"""What a run records: observables of an interval, a number in each row, and of a block of intervals, an array.
+"""What a run records: a number for each interval (rows), and an array for each block of intervals.
 
-An observable is an entry of :data:`ROWS` or :data:`BLOCKS`; the file, ``info``, the time means and the export
-find it there. Units: ds, m, τe.
+An observable is an entry of :data:`ROWS` or :data:`BLOCKS`, which the file, ``info``, the time means and the
+export use. Units: ds, m, τe.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROWS_PER_BLOCK = 50
 
 @dataclass
 class Interval:
-    """What the engine did in one interval of the time series.
+    """Sums of the engine over one interval of the time series.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Interval:
     rate : float
         Mean γ̇.
     steps, substeps, parts, rebuilds : int
-        Time steps; the parts of them made; the most parts of one; lists of pairs made.
+        Numbers of time steps, of their parts, largest number of parts of one step, and lists of pairs.
     totals : Totals
         Sums over the steps.
     samples : int
@@ -45,7 +45,7 @@ class Interval:
     before, energy : float
         Energy at the beginning and at the end.
     sampled : dict
-        Means over the samples of what is taken from a state.
+        Means over the samples of observables of states.
     """
 
     disks: int
@@ -93,11 +93,11 @@ class Row:
     take : callable
         Its value from an :class:`Interval`.
     sample : callable
-        Its value from a :class:`petscjam.md.state.State`, instead: the row is the mean over :data:`SAMPLES` moments.
+        Its value from a :class:`petscjam.md.state.State`, instead: the row is the mean over :data:`SAMPLES` times.
     symbol : str
-        By which ``info`` tells its time mean; empty: it does not.
+        Symbol of its time mean in ``info``; empty: not printed.
     older : float
-        Its value in files from before it was recorded; None: it is absent.
+        Its value in files of versions that did not record it; None: absent.
     """
 
     unit: str
@@ -126,8 +126,9 @@ def _imbalance(i: Interval) -> float:
     return i.energy - i.before - i.integral(engine.WORK) - float(i.totals.sums[engine.JUMPS]) + i.integral(engine.HEAT)
 
 
-# Means over an interval unless said otherwise. The pressure tensor is VOT's eqs. 12–14: first index force or
-# velocity, second index separation; dissipative_yx is listed since model CD makes it differ from _xy.
+# Means over an interval, except where the unit says otherwise. The pressure tensor is VOT's eqs. 12–14: first
+# index force or velocity, second index separation; dissipative_yx is listed because in model CD it differs from
+# _xy.
 ROWS: dict[str, Row] = {
     "time": Row("τe, at the end of the interval", lambda i: i.time),
     "strain": Row("at the end", lambda i: i.strain),
@@ -147,7 +148,7 @@ ROWS: dict[str, Row] = {
     "work": Row("m ds²/τe² done by the shear stress in the interval", lambda i: i.integral(engine.WORK)),
     "jumps": Row("m ds²/τe² brought by sudden changes of the strain rate", lambda i: i.totals.sums[engine.JUMPS]),
     "heat": Row("m ds²/τe² dissipated in the interval", lambda i: i.integral(engine.HEAT)),
-    "imbalance": Row("m ds²/τe², change of energy − work − jumps + heat: what the budget misses", _imbalance),
+    "imbalance": Row("m ds²/τe², change of energy − work − jumps + heat: the error of the energy budget", _imbalance),
     "made": Row("contacts made in the interval", lambda i: i.totals.counts[0]),
     "broken": Row("contacts broken", lambda i: i.totals.counts[1]),
     "duration": Row("τe, sum over the contacts broken", lambda i: i.totals.counts[2] * i.dt / TICKS),
@@ -160,14 +161,14 @@ ROWS: dict[str, Row] = {
     "normal2": Row("ds²/τe², mean square normal velocity of contacts", lambda i: i.per_contact(engine.NORMAL2)),
     "tangential2": Row("ds²/τe²", lambda i: i.per_contact(engine.TANGENTIAL2)),
     "steps": Row("time steps, each part counted", lambda i: i.substeps),
-    "parts": Row("most parts that a time step dt was divided into", lambda i: i.parts, older=1.0),
+    "parts": Row("largest number of parts of a time step dt", lambda i: i.parts, older=1.0),
     "rebuilds": Row("neighbour lists built", lambda i: i.rebuilds),
 }
 
 
 @dataclass
 class BlockSums:
-    """Sums over the block of intervals that is going on.
+    """Sums over the current block of intervals.
 
     Attributes
     ----------
@@ -176,11 +177,11 @@ class BlockSums:
     layers, moments : (3, M), (5, 4)
         Over the samples (:meth:`petscjam.md.engine.Engine.sample`).
     scatter : (S, 4)
-        One row a sample; NaN where there were fewer samples, or no contact.
+        One row for each sample; NaN without a sample or a contact.
     looked : (2,) integers
         Samples, and contacts in them.
     sampled : dict
-        Sums over the samples of what is taken from a state.
+        Sums over the samples of observables of states.
     strain : float
         γ at the end of the block.
     """
@@ -195,7 +196,7 @@ class BlockSums:
 
     @classmethod
     def empty(cls, layers: int) -> BlockSums:
-        """Return the sums of a block that begins, with as many ``layers`` in y."""
+        """Return the sums of a new block, with this number of ``layers`` in y."""
         scatter = np.full((SAMPLES * ROWS_PER_BLOCK, 4), np.nan)
         angles, looked = np.zeros((2, BINS), np.int64), np.zeros(2, np.int64)
         return cls(angles, np.zeros((3, layers)), np.zeros((5, 4)), scatter, looked)
@@ -236,7 +237,7 @@ class Block:
     take : callable
         Its values from the :class:`BlockSums`.
     sample : callable
-        Its values from a :class:`petscjam.md.state.State`, instead: they are summed over :data:`SAMPLES` moments of
+        Its values from a :class:`petscjam.md.state.State`, instead: they are summed over :data:`SAMPLES` times of
         each row.
     """
 
@@ -260,7 +261,7 @@ class Block:
 # Sums over a block; M is the number of layers in y, each about ds high.
 BLOCKS: dict[str, Block] = {
     "strain": Block("at the end of the block", "", lambda b: b.strain),
-    "samples": Block("moments at which disks and contacts were sampled", "", lambda b: b.looked[0]),
+    "samples": Block("times at which disks and contacts were sampled", "", lambda b: b.looked[0]),
     "making": Block("contacts made by collision angle ϑ, from −180°", f"{BINS}", lambda b: b.angles[0]),
     "breaking": Block("contacts broken", f"{BINS}", lambda b: b.angles[1]),
     "layer_disks": Block("disks by layer", "M", lambda b: b.layers[0]),
@@ -269,12 +270,12 @@ BLOCKS: dict[str, Block] = {
     "pairs": Block("contacts in the samples", "", lambda b: b.looked[1]),
     "first": Block("sums of V_T, V^R, V^C_T, V_N over contacts, in ds γ̇", "4", lambda b: b.moments[0]),
     "second": Block("sums of their products", "4 4", lambda b: b.moments[1:]),
-    "scatter": Block("some of them, one row a contact, NaN where there were fewer", "S 4", lambda b: b.scatter),
+    "scatter": Block("the same for some contacts, one row each; NaN if there were fewer", "S 4", lambda b: b.scatter),
 }
 
 
 class Observed(dict[str, Any]):
-    """Observables by name; one that a run lacks is refused by name."""
+    """Observables by name; a missing one is an error with its name."""
 
     def __missing__(self, name: str) -> Any:
         raise AbsentError(f"the run has no observable {name!r}: it was not recorded")

@@ -1,7 +1,7 @@
-"""From a sheared run to the linear response: a snapshot, quenched into a packing under its own stresses.
+"""From a sheared run to the linear response: the energy of a snapshot is minimised at a fixed cell.
 
-Neither size nor shape of the cell relaxes, so what shear stress the minimum bears stays: the packing is
-anisotropic, its cell tilted by the strain modulo 1.
+Size and shape of the cell do not relax, so the minimum has a shear stress: the packing is anisotropic, and its
+cell is tilted by the strain modulo 1.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ SETTINGS = ("model", "law", "Q", "potential", "drag", "spin_drag", "protocol", "
 
 
 def snapshot(run: Run) -> Packing:
-    """Return the disks at the end of ``run`` as they are: not minimised. Units: ds and ke/ds².
+    """Return the disks at the end of ``run``, not minimised. Units: ds and ke/ds².
 
     The potential is that of the run.
 
-    The provenance holds the settings of the run that matter to its last state, and phi, strain, rate (1/τe)
-    and time (τe) of that.
+    The provenance has the settings of the run that determine its last state, and phi, strain, rate (1/τe) and
+    time (τe) of this state.
     """
     state = run.state
     made_by: dict[str, Any] = {"program": "petscjam", "version": release("petscjam")}
@@ -46,8 +46,8 @@ def quench(
 ) -> Packing:
     """Return the nearest minimum of the energy at the box of ``source``, with its certificate.
 
-    Velocities are dropped, and with them whatever stress they kept up: the slower the flow, the nearer the
-    stress of the minimum to that of the flow.
+    Velocities are set to zero, and the stress that the flow maintains is lost: the slower the flow, the closer
+    the stress of the minimum to that of the flow.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def quench(
     Returns
     -------
     Packing
-        Its provenance is that of :func:`snapshot`, with ``quenched``, the checksum of what was quenched.
+        Its provenance is that of :func:`snapshot`, with ``quenched``, the checksum of the snapshot.
 
     Raises
     ------
     InputError
-        If the disks find room and lose their contacts: not jammed at their packing fraction.
+        If the disks lose their contacts: not jammed at their packing fraction.
     SolverError
         If the forces do not balance within the budget.
     """

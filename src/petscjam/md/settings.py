@@ -1,4 +1,4 @@
-"""How a run was made. Units: ds, m, τe."""
+"""Settings of a run. Units: ds, m, τe."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MODEL = {"model": "str", "law": "str", "Q": "float", "potential": "str"}
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How a run was made.
+    """The settings of a run.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Settings:
     protocol : str
         Name of the strain-rate history (:class:`petscjam.md.protocols.Protocol`).
     start : str
-        What it started from.
+        Description of the initial state.
     strain0, time0 : float
         γ and time at the start.
     dt : float
@@ -38,14 +38,14 @@ class Settings:
     history : mapping
         Numbers of the protocol, as ``rate``, by name.
     bulk : str
-        What a change of the strain rate does to the disks.
+        Effect of a change of the strain rate on the disks.
     row_steps : int
         Time steps of a row.
     seed : int or None
         Of a random start.
     threads : int
     version, numba, processor : str
-        What made it: the last bits of its numbers may depend on it.
+        Version, numba and processor: the last bits of the numbers may depend on them.
     """
 
     model: Model

@@ -1,4 +1,4 @@
-"""Where a run starts: at random, from a packing, or from another run.
+"""The initial state of a run: random, from a packing, or from another run.
 
 Axes: i disk, x Cartesian.
 """
@@ -23,16 +23,16 @@ from petscjam.md.state import State, random_state
 from petscjam.rows.damping import ContactDamping
 
 Start = State | Run | Packing | str | PathLike[str] | None
-SETTLE = 200.0  # τe that disks at random positions are given to part
+SETTLE = 200.0  # τe for disks at random positions to move apart
 
 
 def first_state(
     state: State | None, origin: str, n: int | None, phi: float | None, seed: int, model: Model, protocol: Protocol
 ) -> State:
-    """Return the first state, on the linear profile of the first strain rate, from a given one or at random.
+    """Return the initial state, with the linear profile of the first strain rate, from a given state or random.
 
-    Disks at random positions part first. Of a run, velocities and spins are scaled to the new rate (VOT eqs.
-    40, 41), if changes of the rate scale them; a given state stays as it is where only the boundary moves.
+    Disks at random positions first move apart. Velocities and spins of a run are scaled to the new rate (VOT eqs.
+    40, 41), if ``bulk`` is ``scale``; a given state does not change if ``bulk`` is ``boundary``.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def first_state(
     Raises
     ------
     InputError
-        If the start has another number of disks or packing fraction than asked for.
+        If the start has another number of disks or packing fraction than ``n`` and ``phi``.
     """
     rate = float(protocol.rates(np.array([0.0]))[0])
     if state is None:
@@ -72,7 +72,7 @@ def first_state(
 
 
 def _settled(state: State, model: Model) -> State:
-    """Return disks that have parted, as far as they can, under strong damping at rest."""
+    """Return disks that have moved apart, as far as possible, under strong damping at rest."""
     law = Model(ContactDamping(), 1.0, model.potential)
     simulation = Simulation(state, law)
     steps = int(SETTLE / simulation.dt)
@@ -82,7 +82,7 @@ def _settled(state: State, model: Model) -> State:
 
 
 def given_state(start: Start) -> tuple[State | None, str]:
-    """Return the state to start from, None for one at random, and where it comes from.
+    """Return the state to start from, None for a random one, and its description.
 
     Raises
     ------
@@ -110,10 +110,10 @@ def _of(run: Run) -> str:
 
 
 def _at_rest(packing: Packing) -> tuple[State, str]:
-    """Return the disks of a packing at rest, in units of the smallest diameter, and where they come from.
+    """Return the disks of a packing at rest, in units of the smallest diameter, and the description of the start.
 
-    Its lattice must be that of a square sheared along one of its lattice vectors. Unless this lies along x,
-    everything is turned until it does.
+    Its lattice must be that of a square sheared along one of its lattice vectors. The packing is rotated until
+    this vector is along x.
     """
     unit, n = 2 * packing.radii.min(), len(packing)
     edge, tilt, angle = _sheared_square(packing.box.cell)
@@ -135,8 +135,8 @@ def _at_rest(packing: Packing) -> tuple[State, str]:
 def _sheared_square(cell: Array) -> tuple[float, float, float]:
     """Return the edge and the tilt of the sheared square with the lattice of ``cell``, and its direction.
 
-    Only a shortest vector of a lattice can be the edge of a square of the same area that is sheared along it.
-    Of two, that which needs to be turned least is taken.
+    Only a shortest vector of a lattice can be the edge of a square of the same area that is sheared along it. Of
+    two, the one with the smaller rotation is used.
     """
     (a, zero), (along, b) = cell
     if a > 0 and abs(zero) <= 1e-12 * a and abs(a - b) <= 1e-9 * a:

@@ -1,4 +1,4 @@
-"""Where the disks are and how they move at one moment, in a square cell with Lees–Edwards boundaries.
+"""Positions and velocities of disks at one time, in a square cell with Lees–Edwards boundaries.
 
 The images of a disk at (x, y) with velocity (vx, vy) are at (x + mL + nγL, y + nL) with (vx + nγ̇L, vy).
 
@@ -20,7 +20,7 @@ from petscjam.geometry.potential import Potential, potential
 from petscjam.parallel.memory import require
 
 RATIO = 1.4
-BYTES_PER_DISK = 1000  # of a simulation: disks, pairs, sums, and what is written
+BYTES_PER_DISK = 1000  # of a simulation: disks, pairs, sums, and output
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class State:
     Parameters
     ----------
     positions : (N, 2)
-        Any periodic image will do, if the velocity is that of the same image.
+        Any periodic images, with the velocities of the same images.
     velocities : (N, 2)
         In the laboratory; a linear profile has vx = γ̇ y.
     spins : (N,)
@@ -98,7 +98,7 @@ class State:
 
     @property
     def peculiar(self) -> Array:
-        """Velocities against the linear profile, v − γ̇ y x̂, shape (N, 2)."""
+        """Velocities relative to the linear profile, v − γ̇ y x̂, shape (N, 2)."""
         c = self.velocities.copy()
         c[:, 0] -= self.rate * self.positions[:, 1]
         return c
@@ -112,7 +112,7 @@ class State:
         return replace(self, positions=q[:, :2], velocities=q[:, 2:])
 
     def packing(self) -> Packing:
-        """Return positions, radii and cell as a :class:`petscjam.Packing`, as they are: not minimised."""
+        """Return positions, radii and cell as a :class:`petscjam.Packing`, not minimised."""
         return Packing(self.positions, self.radii, self.box, self.potential_name)
 
 
