@@ -1,1 +1,1 @@
-"""Linear response: distributed K and B, one solver, sweeps over frequency, moduli."""
+"""Linear response: distributed K and B, one solver, moduli at many frequencies."""

@@ -1,4 +1,4 @@
-"""Which degrees of freedom are unknowns, who owns them, and which must be held.
+"""The degrees of freedom that are unknowns, their owners, and those that are fixed.
 
 Axes: i disk, d degree of freedom of a disk (ux, uy, θ).
 """
@@ -20,7 +20,7 @@ from petscjam.rows.kinematics import Field, Form, Mask, translations
 
 @dataclass(frozen=True, eq=False)
 class Ownership:
-    """Strips of the cell dealt to ranks, in order; every rank knows the whole deal.
+    """Strips of the cell assigned to ranks, in order; every rank knows the whole assignment.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Ownership:
 
     @classmethod
     def of(cls, packing: Packing, ranks: int) -> Ownership:
-        """Deal the disks of ``packing`` to ``ranks`` in equal strips along a short lattice vector.
+        """Assign the disks of ``packing`` to ``ranks`` in equal strips along a short lattice vector.
 
         Parameters
         ----------
@@ -57,7 +57,7 @@ class Dofs:
     Attributes
     ----------
     index : (N, 3)
-        Number of each degree of freedom; −1 where it is not an unknown.
+        Number of each degree of freedom; −1 if it is not an unknown.
     counts : (ranks,)
         Unknowns of each rank.
     """
@@ -85,7 +85,7 @@ class Dofs:
 
     @property
     def flat(self) -> Integers:
-        """Place of each unknown among all degrees of freedom, (unknowns,)."""
+        """Index of each unknown among all degrees of freedom, (unknowns,)."""
         places = np.empty(self.size, dtype=np.int64)
         used = self.index >= 0
         places[self.index[used]] = np.flatnonzero(used)
@@ -140,11 +140,11 @@ class Dofs:
 
 
 def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> Mask:
-    """Return the (N, 3) degrees of freedom to solve for: those that K or B resists, less those held.
+    """Return the (N, 3) degrees of freedom to solve for: those that K or B resists, without the fixed ones.
 
-    B is positive semi-definite, so a zero on its diagonal is a zero row (θ without rolling or at β = 0,
-    rattlers without contacts). A joint motion that neither K nor B resists leaves K + iωB singular, and one
-    degree of freedom of it is held.
+    B is positive semi-definite, so a zero on its diagonal is a zero row (θ without rotations or at β = 0,
+    rattlers without contacts). A collective motion that neither K nor B resists makes K + iωB singular, and one
+    degree of freedom of it is fixed.
 
     Parameters
     ----------
@@ -162,10 +162,10 @@ def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> Mask:
 
 
 def free_motions(network: ContactNetwork) -> list[Array]:
-    """Return the joint motions (N, 3) that K does not resist: two translations, and the rotation of gears.
+    """Return the collective motions (N, 3) that K does not resist: two translations, and the rotation of gears.
 
-    Disks that turn in alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of contacts
-    is odd; if one is, they slide there, and B resists that.
+    Disks that rotate in alternating sense, θd = ±d/ρ, roll on each other without sliding if no cycle of contacts
+    is odd; in an odd cycle they slide, and B resists this.
     """
     n = len(network.radii)
     gears = np.zeros((n, 3))
@@ -174,7 +174,7 @@ def free_motions(network: ContactNetwork) -> list[Array]:
 
 
 def resists(B: Form, motion: NDArray[Any], comm: Comm) -> bool:
-    """Tell whether B resists ``motion`` (N, 3), beyond rounding.
+    """Return whether B resists ``motion`` (N, 3), beyond rounding errors.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def resists(B: Form, motion: NDArray[Any], comm: Comm) -> bool:
 
 
 def connected(network: ContactNetwork) -> list[Mask]:
-    """Return the disks (N,) of each connected piece of the network, single disks left out."""
+    """Return the disks (N,) of each connected piece of the network, without single disks."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

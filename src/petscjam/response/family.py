@@ -1,6 +1,6 @@
 """One reduced model in (ω, β): contact damping at every β of a range (BT Fig. 4b).
 
-B = (1 − β)B₀ + βB₁ with the friction matrices at β = 0 and 1, so three small matrices do for all β.
+B = (1 − β)B₀ + βB₁ with the friction matrices at β = 0 and 1, so three small matrices are sufficient for all β.
 
 Axes: g point of the grid in (ω, β), m motion.
 """
@@ -32,17 +32,17 @@ from petscjam.rows.kinematics import strain_mode
 
 PER_DECADE = 4  # points of the grid in ω and β
 MOST_NODES = 80
-SOFT = 0.03  # frequency, over the rate of a contact, above which motions respond ever less
-SAFETY = 10  # times the error that the nodes tell
-LARGEST_BETA = 1e3  # beyond it rounding hides what the residual tells
+SOFT = 0.03  # frequency, relative to the rate of a contact, above which the response decreases
+SAFETY = 10  # factor on the error from the ratios at the nodes
+LARGEST_BETA = 1e3  # beyond it rounding errors dominate the residual
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
     """G*(ω) at every β of a range: ``family(beta)`` is a :class:`Spectrum`.
 
-    Its :meth:`Spectrum.error` is an estimate: the square of the residual, times ten times the worst ratio of
-    the true error to it at all nodes. There is none outside the span.
+    Its :meth:`Spectrum.error` is an estimate: the square of the residual, times ten times the largest ratio of
+    true error to this square at the nodes. There is no estimate outside the span.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class Family:
     estimate : float
         Of |ΔG*|/|G*|, over the range and the span.
     G0 : (float, float)
-        The limit of G* at ω → 0, solved for if the span ends before its plateau, and the residual.
+        The limit of G* at ω → 0, from a direct solve if the span ends before its plateau, and the residual.
     rounding : (2,)
-        Modulus and viscosity up to which a limit is zero.
+        Largest modulus and viscosity that count as zero.
     """
 
     betas: tuple[float, float]
@@ -117,8 +117,8 @@ def beta_family(
 ) -> Family:
     """Return G*(ω) under contact damping at every β between ``betas`` from one reduced model in (ω, β).
 
-    Nodes are added where the residual is largest, each with q, ∂q/∂ω and ∂q/∂β, until the error expected at
-    the next node and the true one found there are both below ``rtol``. All products are kept: 6 numbers an
+    Nodes are added where the residual is largest, each with q, ∂q/∂ω and ∂q/∂β, until the estimated error at the
+    next node and the true error there are both below ``rtol``. All products are stored: 6 numbers for each
     unknown and motion.
 
     Parameters
@@ -143,7 +143,7 @@ def beta_family(
         if low == high:
             raise InputError(f"{what}: must be 0 < low < high, not {low:g} twice")
     if betas[1] > LARGEST_BETA:
-        raise InputError(f"betas: at most {LARGEST_BETA:g}, not {betas[1]:g}; make a spectrum for each beyond")
+        raise InputError(f"betas: at most {LARGEST_BETA:g}, not {betas[1]:g}; above it make a spectrum for each")
     checked_rtol(rtol, 1e-10)
     mode = strain_mode(strain)
     problem = LinearProblem(packing, ContactDamping(1.0, rotations), [mode], prestress, comm)
@@ -210,8 +210,8 @@ def beta_family(
 def _grow(basis: ReducedBasis, grid: Array, rtol: float, progress: Report | None) -> tuple[Array, float]:
     """Add nodes where the residual is largest until the error at a new one is below ``rtol``.
 
-    It must be so anywhere, and then once more in each third of the range of β. Returns the nodes (F, 2) and
-    an estimate of the error left on the grid (:class:`Family`).
+    This must hold at one node, and then again at one node in each third of the range of β. Return the nodes (F,
+    2) and an estimate of the remaining error on the grid (:class:`Family`).
     """
     comm = basis.problem.comm
     residual = _Residual(basis)
@@ -253,7 +253,7 @@ def _corners(grid: Array) -> Array:
 
 
 def _vectors(basis: ReducedBasis, omega: float, beta: float) -> list[Array]:
-    """Factor at (ω, β) and return what q, ∂q/∂ω and ∂q/∂β add to the motions."""
+    """Factor at (ω, β) and return the new motions from q, ∂q/∂ω and ∂q/∂β."""
     pencil = basis.pencil
     _, B1, B0 = pencil.matrices
     k, b1, b0 = basis.coupling
@@ -288,7 +288,7 @@ class _Residual:
         new = [] if self.columns else [force[:, None] for force in basis.forces]
         products = basis.extend(vectors)
         count = len(products) * products[0].shape[1]
-        fresh = np.stack(products, axis=2).reshape(len(products[0]), count)  # forms within a motion
+        fresh = np.stack(products, axis=2).reshape(len(products[0]), count)  # forms of one motion
         fresh = np.hstack([*new, fresh])
         across = [basis.dot(block, fresh) for block in self.columns]
         own = basis.dot(fresh, fresh)

@@ -1,7 +1,7 @@
-"""The exact limits of the response, each solved for.
+"""The exact limits of the response, by direct solves.
 
-ω → 0: u relaxes the energy on the backbone; what costs no energy (θ, a rattler, the mean translation)
-then minimises the dissipation. ω → ∞: u minimises the dissipation.
+ω → 0: u minimises the energy on the backbone; the motions without energy (θ, a rattler, the mean translation)
+then minimise the dissipation. ω → ∞: u minimises the dissipation.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.problem import LinearProblem
 from petscjam.rows.kinematics import Field, Mask, Motion, displacements, translations
 
-SOFT = 1e-8  # weight of friction, over the rate of a contact, where stiffness holds a motion, too
-NO_FRICTION = 1e-12  # of the largest one, below which a motion has none
+SOFT = 1e-8  # weight ε of friction, relative to the rate of a contact, for motions with stiffness
+NO_FRICTION = 1e-12  # of the largest friction, below which a motion has none
 
 
 class Limit(NamedTuple):
@@ -56,7 +56,7 @@ def limit_or_note(solve: Callable[[], Limit], notes: list[str], what: str) -> Li
 
 
 def quasistatic(problem: LinearProblem) -> tuple[Field, float]:
-    """Return the displacements (S, N, 3) that relax the energy at unit strain, and the worst residual.
+    """Return the displacements (S, N, 3) that minimise the energy at unit strain, and the largest residual.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSol
 
 
 def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> bool:
-    """Tell whether what the factor misses of a random motion x in B⁻¹(Bx) is a motion without friction."""
+    """Return whether x − B⁻¹(Bx) of a random motion x is a motion without friction."""
     x, y = pencil.vectors
 
     def resisted(motion: Field) -> tuple[Field, float]:
@@ -130,7 +130,7 @@ def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> b
 
 
 def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, float]:
-    """Let what costs no energy follow a motion with the least dissipation.
+    """Add to a motion the motions without energy that minimise the dissipation.
 
     Parameters
     ----------
@@ -162,8 +162,8 @@ def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, f
 def _follow(problem: LinearProblem, follow: Mask, starts: list[Motion]) -> tuple[list[Motion], float]:
     """Solve for the degrees of freedom ``follow`` of each motion, the others given.
 
-    They minimise K + εB. Where there is no stiffness among them, ε drops out; a rattler that touches its
-    neighbours avoids energy first, then friction: the limit ε → 0, extrapolated from ε and ε/2.
+    They minimise K + εB. If they have no stiffness, the result does not depend on ε. A rattler that touches its
+    neighbours minimises first the energy, then the dissipation: the limit ε → 0, extrapolated from ε and ε/2.
     """
     stiff = (total(problem.comm, problem.K.diagonal())[follow] > 0).any()
     soft = SOFT * problem.rate
@@ -186,7 +186,9 @@ def _minimise(problem: LinearProblem, follow: Mask, starts: list[Motion], soft: 
         solver.factor(pencil.combine(1, soft))
         for q, s in starts:
             force: Field = total(problem.comm, problem.K.apply(q, s) + soft * problem.B.apply(q, s))
-            x, residual = solver.solve(-dofs.scatter(force, problem.comm.rank), "B is singular on what K leaves free")
+            x, residual = solver.solve(
+                -dofs.scatter(force, problem.comm.rank), "B is singular on the motions that K does not resist"
+            )
             done.append((q + dofs.gather(x, problem.comm), s))
             worst = max(worst, residual)
     return done, worst

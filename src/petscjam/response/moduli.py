@@ -1,4 +1,4 @@
-"""The complex modulus G*(ω) by one factorisation a frequency, with its exact limits.
+"""The complex modulus G*(ω) with one factorisation for each frequency, and its exact limits.
 
 Axes: w frequency, i disk, x Cartesian.
 """
@@ -45,7 +45,7 @@ def complex_modulus(
     omegas : (W,) array_like
         Angular frequencies in 1/τ1, all > 0.
     fields_at : array_like
-        Frequencies of the sweep whose displacement fields are kept.
+        Frequencies of ``omegas`` at which displacements are stored.
     packing, damping, strain, prestress, comm, name, progress
         As for :func:`petscjam.spectrum`.
 
@@ -78,7 +78,7 @@ def complex_modulus(
         high = limit_or_note(lambda: infinite_frequency(problem, pencil, solver), problem.notes, "G∞ and η∞")
     low = limit_or_note(lambda: zero_frequency(problem), problem.notes, "G0 and η0")
     if balance.max() > LARGEST_RESIDUAL:
-        problem.notes.append(f"the power balance is open by {balance.max():.1e}: G* is lost in rounding")
+        problem.notes.append(f"the error of the power balance is {balance.max():.1e}: rounding errors dominate G*")
     if progress:
         progress(1.0, f"{len(omega)} frequencies and the limits, largest residual {residuals.max():.0e}")
     return ComplexModulus(
@@ -121,7 +121,7 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Comm | 
     prestress : bool
         Keep the second term of BT eq. 4.
     comm : MPI communicator
-        Left out: COMM_SELF.
+        Default: COMM_SELF.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _solve(problem: LinearProblem, pencil: Pencil, solver: DirectSolver, omega: 
 
 
 def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -> tuple[complex, float]:
-    """Return G* from the power balance, and by how much the Schur complement differs from it."""
+    """Return G* from the power balance, and its difference from the Schur complement."""
     motion = (q, [1.0])
     K = problem.product(problem.K, motion, motion).real
     B = problem.product(problem.B, motion, motion).real

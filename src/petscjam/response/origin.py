@@ -1,4 +1,4 @@
-"""Results: where they come from, what their fields mean, and whether the packing is a solid.
+"""Results: their origin, the metadata of their fields, and whether the packing is a solid.
 
 Axes: w frequency.
 """
@@ -47,14 +47,14 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
 
 
 def stored(unit: str = "", axes: str = "", *, finite: bool = False) -> dict[str, Any]:
-    """Return the metadata of a field of a result: what its file says of it, and what is checked on reading.
+    """Return the metadata of a field of a result: its unit in the file, and the checks on reading.
 
     Parameters
     ----------
     unit : str
-        As ``"stress*tau1"``. Left out: none, or the docstring gives it.
+        As ``"stress*tau1"``. Default: none, or given in the docstring.
     axes : str
-        As ``"W 2"`` (:func:`petscjam.base.files.check_shapes`). Left out: not checked.
+        As ``"W 2"`` (:func:`petscjam.base.files.check_shapes`). Default: not checked.
     finite : bool
         Whether NaN and infinity are refused.
     """
@@ -63,7 +63,7 @@ def stored(unit: str = "", axes: str = "", *, finite: bool = False) -> dict[str,
 
 @dataclass(frozen=True)
 class Origin:
-    """The packing of a result, and the law and terms that were asked for.
+    """The packing of a result, the damping law, and the terms of K.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Origin:
     prestress : bool
         Whether the second term of BT eq. 4 is kept.
     strain : str or None
-        Mode of deformation; None where it does not matter, as the law.
+        Mode of deformation; None if the result does not depend on it. The same for ``damping``.
     damping : DampingLaw or None
     versions : str or None
         Of petscjam and PETSc.
@@ -106,22 +106,22 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What is found of one packing. Each field of a kind of result says what it is (:func:`stored`).
+    """A result of one packing. Each field of a kind of result has metadata (:func:`stored`).
 
     Attributes
     ----------
     origin : Origin
     notes : tuple of str
-        What could not be found, and why.
+        Quantities that could not be computed, and the reasons.
     settings : tuple of str
-        Which of ``strain`` and ``damping`` matter for this kind.
+        Which of ``strain`` and ``damping`` this kind depends on.
     units : str
         Those of the table of this kind.
     figure : str
-        ``module:function`` that draws results, by their names, on a figure of matplotlib and returns it; or
-        this function, as a static method. Empty: there is no picture.
+        ``module:function`` that draws results, by their names, on a figure of matplotlib and returns it; or this
+        function as a static method. Empty: no figure.
     exports : str
-        ``module:function`` that writes a result for other programs, as :func:`petscjam.export_rheology` does.
+        ``module:function`` that writes a result for other programs, like :func:`petscjam.export_rheology`.
     """
 
     origin: Origin
@@ -132,7 +132,7 @@ class Result:
     exports: ClassVar[str] = ""
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it, by the heads of the columns."""
+        """Return its line of the table, by the heads of the columns."""
         return {}
 
     @property
@@ -155,12 +155,12 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Judged(Result):
-    """A result that tells whether its packing is a solid, by G0, the modes of K and the balance of forces.
+    """A result from which the stability of its packing follows: by G0, the modes of K and the balance of forces.
 
     Attributes
     ----------
     negative_modes, zero_modes : int or None
-        Such eigenvalues of K on the pinned backbone; None where a note says why.
+        Number of such eigenvalues of K on the pinned backbone; None if unknown, with the reason in a note.
     """
 
     negative_modes: int | None
@@ -168,11 +168,11 @@ class Judged(Result):
 
     @property
     def state(self: Any) -> str:
-        """``stable``, or what the packing lacks for that, or what is not known.
+        """``stable``, or the criteria that are violated, or those that are unknown.
 
         It is stable if G0 > 0 beyond rounding, K has neither negative nor zero modes and, with pre-stress,
-        the forces balance: a linear response starts from an equilibrium. Without pre-stress contacts are
-        springs at rest, which are in one anywhere.
+        the forces balance: a linear response starts from an equilibrium. Without pre-stress contacts are springs
+        at rest, which are always in equilibrium.
         """
         G0 = np.nan if self.G0 is None else self.G0
         faults = ["G0 < 0"] * (G0 < 0) + ["G0 = 0"] * (G0 == 0)
@@ -180,7 +180,7 @@ class Judged(Result):
         for kind, count in (("negative modes", self.negative_modes), ("zero modes", self.zero_modes)):
             faults += [f"{count} {kind}"] * bool(count)
             unknown += [kind] * (count is None)
-        balanced = self.origin.balanced if self.prestress else True  # older files do not tell
+        balanced = self.origin.balanced if self.prestress else True  # unknown in older files
         if faults:
             return f"UNSTABLE: {', '.join(faults + ['not in balance'] * (balanced is False))}"
         if balanced is False:
@@ -204,12 +204,12 @@ class Verb:
         The function, or its ``module:name``: ``analyse(packing, **options, prestress=…, comm=…, name=…,
         progress=…)``, with ``strain`` and ``damping`` if these are ``settings`` of its result.
     output : str
-        What the file holds.
+        Content of the file.
     options : callable
-        Adds its options to a parser. The ``dest`` of each is an argument of the function; that of an option
-        that takes another function, ``module:name``, is ``analyse``.
+        Adds its options to a parser. The ``dest`` of each is an argument of the function; that of an option that
+        selects another function, ``module:name``, is ``analyse``.
     laws : str
-        The option that takes such a function, if damping laws go with that one alone.
+        The option that selects such a function, if only that function takes damping laws.
     """
 
     analyse: Callable[..., Result] | str

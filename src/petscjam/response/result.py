@@ -1,4 +1,4 @@
-"""What a sweep gives: G*(ω), its limits, and how far to trust them.
+"""G*(ω) at given frequencies, its limits, and their errors.
 
 Axes: w frequency, i disk, x Cartesian.
 """
@@ -32,26 +32,26 @@ class ComplexModulus(Judged):
     power_balance : (W,)
         |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V|: zero for an exact solution.
     errors : (W,)
-        Bound on |ΔG*|/|G*|; NaN where each frequency was solved for.
+        Bound on |ΔG*|/|G*|; NaN for direct solves.
     part_errors : (2, W)
         The same on |ΔG′|/|G′| and |ΔG″|/|G″|.
     G0, eta0 : float
-        ω → 0: G′ and G″/ω; NaN where a note says why.
+        ω → 0: G′ and G″/ω; NaN if unknown, with the reason in a note.
     G_inf, eta_inf : float
         ω → ∞: G′ and G″/ω.
     limit_residuals : (2,)
         Residuals of the solves for the two limits; of a reduced model, bounds on their relative errors.
     field_omega : (F,)
-        Frequencies whose displacements are kept.
+        Frequencies at which displacements are stored.
     fields : (F, N, 2) complex
-        Non-affine displacement per unit strain; NaN on rattlers that were taken out. Where the law does
-        not resist a translation, the mean over the backbone is zero.
+        Non-affine displacement per unit strain; NaN for rattlers that were removed. If the law does not resist a
+        translation, the mean over the backbone is zero.
     geometry : Packing or None
-        The packing, kept with the fields.
+        The packing, stored with the fields.
     performance : dict
         Factorisations, MUMPS and peak memory (MB) of each rank.
     model : Spectrum or None
-        The reduced model that the values are of; None where each frequency was solved for.
+        The reduced model of the values; None for direct solves.
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
@@ -78,7 +78,7 @@ class ComplexModulus(Judged):
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
-        """Return G* of ``model`` on a grid, with errors; the result holds the model.
+        """Return G* of ``model`` on a grid, with errors; the result contains the model.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class ComplexModulus(Judged):
         omegas : (W,)
             Angular frequencies, 1/τ1.
         fields_at : (F,)
-            Frequencies whose displacements are kept.
+            Frequencies at which displacements are stored.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What a reduced model knows: G* at every frequency with a bound on its error, its relaxation, G(t) and J(t).
+"""The results of a reduced model: G* at every frequency with an error bound, relaxation times, G(t) and J(t).
 
 The model is the pencil (K, B) restricted to a few motions: Q₀ with strain 1 and motions without strain.
 docs/theory.md, Reduced model, has the proofs.
@@ -24,11 +24,13 @@ from petscjam.rows.damping import StokesDrag
 from petscjam.rows.kinematics import strain_mode
 
 EPS = float(np.finfo(float).eps)
-ROUNDING = 32 * EPS  # of a sum over contacts, relative to the sum of moduli: twice the worst that was seen
-LARGEST_GAIN_ERROR = 0.1  # a node beyond it does not count
-GAIN_ALLOWANCE = 100  # times its error is added to a gain
-EDGE = 1e-9  # by how much a frequency may miss the end of the span, relative
-INSTANT = 1e-13  # share of friction in a motion, below which it relaxes at once
+ROUNDING = (
+    32 * EPS
+)  # rounding error of a sum over contacts, relative to the sum of moduli: twice the largest observed value
+LARGEST_GAIN_ERROR = 0.1  # nodes with a larger error are not used
+GAIN_ALLOWANCE = 100  # factor on the error that is added to a gain
+EDGE = 1e-9  # relative tolerance of the ends of the span
+INSTANT = 1e-13  # fraction of friction in a motion, below which it relaxes at once
 
 Complex = NDArray[np.complex128]
 
@@ -47,9 +49,9 @@ class Spectrum(Judged):
     Attributes
     ----------
     span : (float, float)
-        Frequencies between which the model was made to hold, 1/τ1.
+        Lowest and highest frequency of the model, 1/τ1.
     rtol : float
-        Bound on |ΔG*|/|G*| that was asked for there.
+        Requested bound on |ΔG*|/|G*| in the span.
     K, B : (M, M)
         The pencil between the motions.
     residual_K, residual_B : (M,)
@@ -59,30 +61,30 @@ class Spectrum(Judged):
     gains : (F,) complex
         Rᵀ(K + iω_kB)⁻¹R, R the direction of the residual.
     gain_errors : (F,)
-        How far from parallel to R rounding has left the residual of each node, 0 … 1.
+        Relative component of the residual of each node perpendicular to R, by rounding, 0 … 1.
     limits : (2, 2)
-        G0, η0 and G∞, η∞: of the model or, where the span ends too far from a plateau, solved for.
+        G0, η0 and G∞, η∞: of the model or, if the span ends too far from a plateau, from direct solves.
     limit_errors : (2, 2)
-        Relative error of each (:meth:`own_limits`); of those solved for, the residual.
+        Relative error of each (:meth:`own_limits`); for direct solves, the residual.
     forcing : (float, float)
         ‖K_uγ‖ and ‖B_uγ‖.
     affine : (float, float)
-        K_γγ and B_γγ, before anything relaxes.
+        K_γγ and B_γγ, of the affine motion.
     area, pressure : float
-        Of the cell; the pressure counts in the bulk modulus with pre-stress.
+        Of the cell; the pressure enters the bulk modulus with pre-stress.
     definite : bool
         Whether K is known to have none: then :meth:`error` is a bound, else an estimate.
     rounding_only : bool
-        Whether the residual in the span is rounding: its length is then one that it does not exceed, and
-        nothing is known beyond the span.
+        Whether the residual in the span is a rounding error: then its length is an upper limit, and there is no
+        bound outside the span.
     estimate : float
-        Error of |G*|, relative, that is only estimated, and part of every error (members of a family).
+        Relative error of |G*| that is only an estimate, and part of every error (members of a family).
     performance : dict
         Ranks, seconds, MUMPS memory (MB) and flops of a factorisation, largest residual of a solve.
     motions : (M, N, 2) or None
-        Displacements of the motions; None in a model that was made without.
+        Displacements of the motions; None in a model without them.
     geometry : Packing or None
-        The packing, kept with the motions.
+        The packing, stored with the motions.
     """
 
     span: tuple[float, float] = field(metadata=stored("1/tau1", "2", finite=True))
@@ -115,19 +117,19 @@ class Spectrum(Judged):
 
     @property
     def fluid(self) -> float:
-        """Viscosity of the fluid that the strain has to overcome: it adds iωηF to G*, apart from K and B."""
+        """Viscosity of the fluid on the strain rate: it adds iωηF to G*, separately from K and B."""
         return self.damping.fluid * strain_mode(self.strain).shears_fluid
 
     @property
     def factorisations(self) -> int:
-        """How often K + iωB was factored."""
+        """Number of factorisations of K + iωB."""
         return len(self.nodes)
 
     def error(self, omegas: ArrayLike) -> Array:
         """Return a bound on |ΔG*|/|G*| at ``omegas``: truncation of the model, and an estimate of rounding.
 
-        It holds at any frequency and grows outside ``span``; it is infinite there if the residual in the span
-        is all rounding, and for members of a family. Where ``definite`` is False it is an estimate.
+        It is valid at any frequency and grows outside ``span``; it is infinite there if the residual in the span
+        is a rounding error, and for members of a family. If ``definite`` is False it is an estimate.
         """
         omega = _positive(omegas)
         w = omega.ravel()
@@ -136,16 +138,16 @@ class Spectrum(Judged):
         return (self.estimate + _relative(absolute, np.abs(self._modulus(w)))).reshape(omega.shape)
 
     def truncation(self, omegas: ArrayLike) -> Array:
-        """Return the part of :meth:`error` that comes from the few motions, at ``omegas``."""
+        """Return the part of :meth:`error` from the truncation to a few motions, at ``omegas``."""
         omega = _positive(omegas)
         w = omega.ravel()
-        with np.errstate(divide="ignore", invalid="ignore"):  # of what resists nothing at all
+        with np.errstate(divide="ignore", invalid="ignore"):  # without any resistance
             return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
 
     def part_errors(self, omegas: ArrayLike) -> tuple[Array, Array]:
-        """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may exceed that on |G*|.
+        """Return bounds on |ΔG′|/|G′| and |ΔG″|/|G″| at ``omegas``. They may be larger than the bound on |G*|.
 
-        For members of a family ``estimate`` stands for each part as for |G*|.
+        For members of a family ``estimate`` is used for each part as for |G*|.
         """
         omega = _positive(omegas)
         w = omega.ravel()
@@ -154,7 +156,7 @@ class Spectrum(Judged):
         rise, fall = self._gain_parts(w)
         whole, rounding = self._truncation(w), self._rounding(w)
         with np.errstate(divide="ignore", invalid="ignore"):
-            least = np.hypot(*rounding) / abs(G)  # rounding moves soft motions, and with them both parts
+            least = np.hypot(*rounding) / abs(G)  # rounding errors change soft motions, and so both parts
         parts = []
         for part, first, second, rounded in (
             (abs(G.real), rise, fall, rounding[0]),
@@ -174,7 +176,7 @@ class Spectrum(Judged):
         )
 
     def power_balance(self, omegas: ArrayLike) -> Array:
-        """Return |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V| at ``omegas``: zero but for rounding."""
+        """Return |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V| at ``omegas``: zero except for rounding errors."""
         omega = _positive(omegas)
         w = omega.ravel()
         Q = self._motion(w)
@@ -185,15 +187,15 @@ class Spectrum(Judged):
         return (abs(schur - energy) / abs(whole)).reshape(omega.shape)
 
     def displacement(self, omega: float) -> Complex:
-        """Return the non-affine displacements (N, 2) per unit strain at ``omega``; NaN on rattlers taken out.
+        """Return the non-affine displacements (N, 2) per unit strain at ``omega``; NaN for removed rattlers.
 
         Raises
         ------
         InputError
-            If the model was made, or stored, without its motions.
+            If the model has no motions.
         """
         if self.motions is None:
-            raise InputError("this model was kept without its motions; make it again with displacements=True")
+            raise InputError("this model was stored without its motions; make it again with displacements=True")
         return np.tensordot(self._motion(np.atleast_1d(float(omega)))[0], self.motions, axes=1)
 
     # ---- in time
@@ -201,8 +203,8 @@ class Spectrum(Judged):
     def relaxation(self) -> Relaxation:
         """Return the relaxation times and weights g_j: G* = G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j).
 
-        They are the exact poles of the model, and G0 and η∞ its own (:meth:`own_limits`). Negative times, in
-        an unstable packing, grow.
+        They are the exact poles of the model, with its own G0 and η∞ (:meth:`own_limits`). Negative times belong
+        to growing motions of an unstable packing.
         """
         rates, weights, _ = self._maxwell
         rising = np.argsort(1 / rates)
@@ -247,7 +249,7 @@ class Spectrum(Judged):
         """Return G0, η0 and G∞, η∞ of the model, (2, 2), and their relative errors, (2, 2).
 
         An error is the distance to G′ and G″/ω at the end of the span, and their error there: an estimate, not a
-        bound, for the model may lack relaxations far slower or faster than the span.
+        bound, because the model may lack relaxations far slower or faster than the span.
         """
         rates, weights, eta_inf = self._maxwell
         G0, ends = self._G0, np.array(self.span)
@@ -258,7 +260,7 @@ class Spectrum(Judged):
         return limits, away + np.stack(self.part_errors(ends), axis=1)
 
     def kramers_kronig(self, omegas: ArrayLike) -> Array:
-        """Return by how much G* at ``omegas`` departs from its sum over relaxations, relative to |G*|.
+        """Return the difference of G* at ``omegas`` from its sum over relaxations, relative to |G*|.
 
         G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j) obeys the Kramers–Kronig relations exactly.
         """
@@ -270,7 +272,7 @@ class Spectrum(Judged):
     # ---- others from this one
 
     def with_fluid(self, eta_fluid: float) -> Spectrum:
-        """Return the spectrum for another viscosity ηF of the fluid (Stokes drag): G* gains iωΔηF, no solve.
+        """Return the spectrum for another viscosity ηF of the fluid (Stokes drag): adds iωΔηF to G*, without a solve.
 
         Raises
         ------
@@ -278,7 +280,7 @@ class Spectrum(Judged):
             If the law is another one, or the fluid does not resist this strain mode.
         """
         if not (isinstance(self.damping, StokesDrag) and strain_mode(self.strain).shears_fluid):
-            raise InputError(f"the fluid plays no part in {self.damping}, {self.strain}")
+            raise InputError(f"the fluid has no effect with {self.damping}, {self.strain}")
         law, limits = StokesDrag(eta_fluid), self.limits.copy()
         limits[:, 1] += law.fluid - self.damping.fluid
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -289,7 +291,7 @@ class Spectrum(Judged):
             other = replace(other, notes=(*self.notes, f"with ηF = {eta_fluid:g} the errors reach {worst:.1e}"))
         return other
 
-    # ---- the model at work
+    # ---- computations with the model
 
     @property
     def _G0(self) -> float:
@@ -315,15 +317,15 @@ class Spectrum(Judged):
         return self._scale * energy + self._shift + 1j * w * self.fluid
 
     def _residual(self, w: Array) -> Complex:
-        """Return Rᵀr(ω): the residual lies along one fixed direction R."""
+        """Return Rᵀr(ω): the residual has one fixed direction R."""
         Q = self._motion(w)
         return Q @ self.residual_K + 1j * w * (Q @ self.residual_B)
 
     def _truncation(self, w: Array) -> Array:
-        """Return the bound |Rᵀr|² max(1, ω_k/ω)(Re − Im) Rᵀ(K + iω_kB)⁻¹R, the best of all nodes.
+        """Return the bound |Rᵀr|² max(1, ω_k/ω)(Re − Im) Rᵀ(K + iω_kB)⁻¹R, the smallest over all nodes.
 
-        As a modulus; so is the one from the bounds on both parts, where that is better. Members of a family
-        have their estimate instead.
+        In units of a modulus; the bound from both parts is used if it is smaller. Members of a family have their
+        estimate instead.
         """
         bound = np.zeros(len(w))
         if self.gains.any():
@@ -347,17 +349,17 @@ class Spectrum(Judged):
 
     @cached_property
     def _gains(self) -> tuple[Array, Array, Array]:
-        """Return the nodes that count in the bound, and Re and −Im of their gains, allowing for rounding."""
+        """Return the nodes of the bound, and Re and −Im of their gains, increased by the allowance for rounding."""
         known = self.gain_errors < LARGEST_GAIN_ERROR
         gains = self.gains[known]
         allowance = GAIN_ALLOWANCE * self.gain_errors[known] * abs(gains)
         return self.nodes[known], abs(gains.real) + allowance, abs(gains.imag) + allowance
 
     def _rounding(self, w: Array) -> tuple[Array, Array]:
-        """Return how much rounding of K and B between the motions may change G′ and G″.
+        """Return the largest change of G′ and G″ by rounding errors of K and B between the motions.
 
-        Each entry is a sum over contacts of products, of the size that the diagonals tell; Q₀ is itself a
-        sum, of the affine motion and what relaxes it.
+        Each entry is a sum over contacts of products, whose size follows from the diagonals; Q₀ is itself the sum
+        of the affine motion and its relaxation.
         """
         Q = self._motion(w)
         parts = abs(np.stack([Q.real, Q.imag], axis=1))
@@ -372,7 +374,7 @@ class Spectrum(Judged):
 
     @cached_property
     def _relaxing(self) -> tuple[Array, Array, Array, Array]:
-        """Return stiffness, friction, forces of Q₀ in K and B, of motions that relax each by itself."""
+        """Return stiffness, friction, and forces of Q₀ in K and B, of motions that relax independently."""
         stiffness, friction, vectors = _diagonal(self.K[1:, 1:], self.B[1:, 1:], self._middle)
         return stiffness, friction, self.K[0, 1:] @ vectors, self.B[0, 1:] @ vectors
 
@@ -390,7 +392,7 @@ class Spectrum(Judged):
 
     @cached_property
     def _creep(self) -> tuple[Array, Array, float]:
-        """Return rates and strengths of J(s) = Σ strength/(s + rate) + instant; strain is a motion, too."""
+        """Return rates and strengths of J(s) = Σ strength/(s + rate) + instant, with the strain as a motion."""
         K, B = self.K.copy(), self.B.copy()
         K[0, 0] += self._shift / self._scale
         B[0, 0] += self.fluid / self._scale
@@ -406,12 +408,12 @@ class Spectrum(Judged):
 
 
 def relaxed(A: Complex) -> Complex:
-    """Return Q = (1, y), (W, M), of each ``A`` (W, M, M): no force on the motions without strain.
+    """Return Q = (1, y), (W, M), of each ``A`` (W, M, M): with zero force on the motions without strain.
 
     Raises
     ------
     SolverError
-        If a motion meets no resistance.
+        If nothing resists a motion.
     """
     Q = np.ones(A.shape[:2], dtype=complex)
     if A.shape[1] > 1:
@@ -448,7 +450,7 @@ def _positive(omegas: ArrayLike) -> Array:
 
 
 def _relative(bound: Array, size: Array) -> Array:
-    """Return a bound on |Δx|/|x| from one on |Δx| and the size of x + Δx; infinite where they are alike."""
+    """Return a bound on |Δx|/|x| from one on |Δx| and ``size`` = |x + Δx|; infinite if it is not below ``size``."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(bound < size, bound / (size - bound), np.inf)
 
