@@ -375,7 +375,7 @@ def test_bad_settings(change, message):
 
 def test_a_model_that_does_not_reach():
     model = pj.spectrum(sixteen(), (1e-2, 1.0))
-    with pytest.raises(pj.InputError, match=r"the model holds from 0\.01 to 1"):
+    with pytest.raises(pj.InputError, match=r"the span of the model from 0\.01 to 1"):
         equivalent_drag(model, [1.0], 0.1, 0.5)
 
 

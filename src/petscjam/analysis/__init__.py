@@ -1,1 +1,1 @@
-"""What the response says: non-affine motion, correlations, densities, scaling, nonlinear drag."""
+"""Analyses of the response: non-affine motion, correlations, densities, scaling, nonlinear drag."""

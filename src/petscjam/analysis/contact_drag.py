@@ -1,7 +1,7 @@
-"""Nonlinear drag with a friction time for each contact, that of the path which the contact takes.
+"""Nonlinear drag with a friction time for each contact, from the path of the contact.
 
-The method of equivalent damping (BT eqs. 9, 23) without the assumption that every contact bears the force δσ:
-(K + iωB)q = f is solved again until B = Σ τ_c(Δu∥⊗Δu∥ + Δu⊥⊗Δu⊥) is that of the motion. docs/howto/drag.md.
+The method of equivalent damping (BT eqs. 9, 23) without the assumption that every contact has the force δσ: (K +
+iωB)q = f is solved repeatedly until B = Σ τ_c(Δu∥⊗Δu∥ + Δu⊥⊗Δu⊥) is that of the motion. docs/howto/drag.md.
 
 Axes: w frequency, c contact of the backbone, k normal/tangential.
 """
@@ -33,13 +33,13 @@ from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.damping import ContactDamping, viscous_form
 from petscjam.rows.kinematics import Field, strain_mode
 
-MEMORY = 6  # iterations that the next one is made of
+MEMORY = 6  # number of previous iterations for the next one
 
 
 def contact_times(velocity: Field, alpha: float, floor: float = 0.0) -> Array:
     """Return τ_c = ⟨|v|^(α+1)⟩/⟨|v|²⟩ (C,) of velocities Re(a e^{iωt}), a = ``velocity`` (C, 2).
 
-    The tip of v runs along an ellipse: |v|² = A + D cos ψ, A = (|a_n|² + |a_t|²)/2, D = |a_n² + a_t²|/2, and
+    v runs along an ellipse: |v|² = A + D cos ψ, A = (|a_n|² + |a_t|²)/2, D = |a_n² + a_t²|/2, and
     ⟨|v|^s⟩ = A^{s/2} ₂F₁(−s/4, (2 − s)/4; 1; (D/A)²).
 
     Parameters
@@ -78,7 +78,7 @@ def self_consistent_drag(
     name: str = "packing",
     progress: Report | None = None,
 ) -> NonlinearModulus:
-    """Return G*(ω; δσ) with a time τ_c for each contact, of the motion that these very times make.
+    """Return G*(ω; δσ) with a self-consistent time τ_c for each contact.
 
     Solves (K + iωB)q = f, B = Σ τ_c(Δu∥⊗Δu∥ + Δu⊥⊗Δu⊥) with rotations, until τ_c is that of the velocities
     iω(δσ/G*)(Δu∥, Δu⊥). For α = 1 it is ContactDamping().
@@ -94,10 +94,10 @@ def self_consistent_drag(
     rtol : float
         Converged where |ΔG*|/|G*| and the rms of Δ ln τ_c of an iteration are both below it.
     floor : float
-        Velocity, relative to the root mean square over contacts, below which friction is linear: without it
-        τ_c → ∞ for α < 1 where a contact hardly moves.
+        Velocity, relative to the root mean square over contacts, below which friction is linear: without it τ_c →
+        ∞ for α < 1 if a contact hardly moves.
     most_iterations : int
-        For each frequency. What did not converge is kept, marked and noted.
+        For each frequency. Results without convergence are stored, marked in ``converged`` and noted.
     packing, strain, prestress, comm, name, progress
         As for :func:`petscjam.spectrum`.
 
@@ -123,7 +123,7 @@ def self_consistent_drag(
     log_tau, points = np.zeros(len(problem.network)), {}
     with _responses(problem) as respond:
         for done, w in enumerate(np.argsort(omega), 1):
-            log_tau = log_tau + np.log(guess[w])  # from the neighbour, moved as the uniform one moves
+            log_tau = log_tau + np.log(guess[w])  # from the neighbouring frequency, with the change of the uniform time
 
             def times_of(found: _Response, omega: float = omega[w]) -> Array:
                 return contact_times(omega / k * found.strain * found.motion / d, alpha, floor)
@@ -164,7 +164,7 @@ class _Response(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """What :class:`NonlinearModulus` has at one frequency."""
+    """The values of :class:`NonlinearModulus` at one frequency."""
 
     values: complex
     tau: float
@@ -185,7 +185,7 @@ def _fixed_point(
     most_iterations: int,
     comm: Comm,
 ) -> _Point:
-    """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are the τ_c that made it."""
+    """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are equal to τ_c."""
     tried: list[Array] = []
     missed: list[Array] = []
     iterations, converged = 0, False
@@ -207,7 +207,7 @@ def _fixed_point(
 
 
 def _mixed(tried: list[Array], missed: list[Array]) -> Array:
-    """Return what to try next (Anderson): where a linear model of what was missed is smallest."""
+    """Return the next iterate (Anderson): the minimum of a linear model of the residual."""
     steps, falls = (np.diff(some, axis=0).T for some in (tried, missed))
     weights = np.linalg.lstsq(falls, missed[-1], rcond=None)[0]
     return tried[-1] + missed[-1] - (steps + falls) @ weights
@@ -215,11 +215,11 @@ def _mixed(tried: list[Array], missed: list[Array]) -> Array:
 
 @contextmanager
 def _responses(problem: LinearProblem) -> Iterator[Callable[[float, float, Array], _Response]]:
-    """Give the response at ω and δσ with friction times τ_c (C,): one pattern, and one symbolic analysis."""
+    """Yield the response at ω and δσ with friction times τ_c (C,): one pattern, and one symbolic analysis."""
     comm, mode, law = problem.comm, problem.strains[0], problem.law
     network, mine = problem.network, problem.ownership.owner == problem.comm.rank
     everywhere = viscous_form(network, np.ones_like(mine), problem.strains, law)
-    # its pattern has every entry that any τ_c can fill: with random ones none is a sum that cancels
+    # with random τ_c no entry is a sum that cancels, so the pattern has all entries
     times = np.random.default_rng(0).uniform(1, 2, len(network))
     pattern = viscous_form(network, mine, problem.strains, law, times)
     dofs = problem.number(problem.active)

@@ -1,4 +1,4 @@
-"""How packings approach jamming: contacts beyond isostaticity, and fits of φ and of powers of the pressure."""
+"""Approach to jamming: excess contacts, and fits of φ and of powers of the pressure."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 
-# Where Z − Z_iso ~ p^(a/2) is fitted: above the one p^a·N² does not depend on the number of disks, below the
-# other p^a (p in k) corrections to scaling are small.
+# Window of the fit Z − Z_iso ~ p^(a/2): above this p^a·N² there are no finite-size effects, below this p^a (p in
+# k) corrections to scaling are small.
 BULK, DENSE = 100.0, 1.1e-2
 
 
@@ -48,7 +48,7 @@ def excess_contacts(particles: ArrayLike, rattlers: ArrayLike, contacts: ArrayLi
     Returns
     -------
     (k,)
-        NaN where all disks are rattlers.
+        NaN if all disks are rattlers.
     """
     backbone = np.asarray(particles, dtype=float) - np.asarray(rattlers)
     backbone = np.where(backbone == 0, np.nan, backbone)
@@ -56,7 +56,7 @@ def excess_contacts(particles: ArrayLike, rattlers: ArrayLike, contacts: ArrayLi
 
 
 def in_window(p: ArrayLike, particles: int, a: float) -> NDArray[np.bool_]:
-    """Return where Z − Z_iso is fitted: p^a·N² > 100, as in Goodrich et al. for a = 1, and p^a ≤ 0.01.
+    """Mark the pressures of the fit of Z − Z_iso: p^a·N² > 100, as in Goodrich et al. for a = 1, and p^a ≤ 0.01.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ def in_window(p: ArrayLike, particles: int, a: float) -> NDArray[np.bool_]:
 def fit_power(x: ArrayLike, y: ArrayLike, error: ArrayLike | None = None) -> PowerLaw:
     """Fit y = A·x^a: a straight line through log y against log x, weighted by the standard errors of y.
 
-    Errors too small for the scatter about the line are scaled up, as the Particle Data Group does. Without
-    ``error``, or where one is missing (NaN or 0), every log y weighs the same, and the errors of the fit
-    come from the scatter; of two points they are then NaN.
+    If the scatter about the line is larger than the errors, these are scaled up, as by the Particle Data Group.
+    Without ``error``, or if one is missing (NaN or 0), all log y have the same weight, and the errors of the fit
+    come from the scatter; for two points they are then NaN.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def fit_phi_J(
 ) -> JammingDensity:
     """Fit φ = φJ + c·p^a with a given a, over the lowest ``decades`` of the pressures.
 
-    If fewer than three pressures lie within ``decades`` the lowest three are taken, or as many as there are.
+    If fewer than three pressures are within ``decades``, the lowest three are used, or all if there are fewer.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def fit_phi_J(
     if not (p > 0).all():
         raise InputError("fit: the pressures must be above 0")
     rising = np.unique(p)
-    # A measured pressure is not exactly its target: let the last of the decades in.
+    # A measured pressure differs slightly from its target: include the end of the range.
     highest = max(rising[0] * 10**decades * 1.05, rising[:3][-1]) if len(p) else 0.0
     low = p <= highest
     sigma = None if error is None else np.asarray(error, dtype=float)[low]

@@ -25,7 +25,7 @@ POINTS = 40  # numbers of modes, evenly in their logarithm
 
 @dataclass(frozen=True, eq=False)
 class ModeSum(Result):
-    """How the response per unit strain builds up from the lowest modes of K. Units as in :class:`Modes`.
+    """The response per unit strain as a sum over the lowest modes of K. Units as in :class:`Modes`.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class ModeSum(Result):
     frequencies, floppiness, participation, softening : (M,)
         Of each mode, as in :class:`Modes`.
     modes : int
-        How many modes there are, 2n − 2.
+        Number of all modes, 2n − 2.
     complete : bool or None
         Whether it is proved that no mode was missed.
     """
@@ -54,35 +54,35 @@ class ModeSum(Result):
     modes: int
     complete: bool | None
     settings: ClassVar[tuple[str, ...]] = ("strain",)
-    units: ClassVar[str] = "medians from the lowest modes over those of the direct solve"
+    units: ClassVar[str] = "medians from the lowest modes, divided by those of the direct solve"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         ratios = {f"{motion} / direct": self.ratios[k, -1] for k, motion in enumerate(MOTIONS)}
         return {"modes": f"{self.counts[-1]} of {self.modes}", **ratios}
 
     @property
     def ratios(self) -> Array:
-        """Medians from the lowest modes over those of the direct solve, (3, K)."""
+        """Medians from the lowest modes divided by those of the direct solve, (3, K)."""
         return self.medians / self.direct[:, None]
 
 
 def modes_needed(ratios: ArrayLike, counts: ArrayLike, within: float = 0.1) -> float:
-    """Return the least number of modes from which on a median stays close to that of the direct solve.
+    """Return the smallest number of modes from which on a median is close to that of the direct solve.
 
     Parameters
     ----------
     ratios : (K,)
-        Medians from the lowest modes over that of the direct solve.
+        Medians from the lowest modes divided by that of the direct solve.
     counts : (K,)
-        Numbers of modes, rising.
+        Numbers of modes, ascending.
     within : float
-        How far a ratio may be from 1.
+        Largest difference of a ratio from 1.
 
     Returns
     -------
     float
-        NaN if none of the numbers is enough.
+        NaN if none of the numbers is sufficient.
     """
     off = np.flatnonzero(abs(np.asarray(ratios) - 1) > within)
     first = off[-1] + 1 if len(off) else 0
@@ -99,12 +99,12 @@ def mode_sum(
     name: str = "packing",
     progress: Report | None = None,
 ) -> ModeSum:
-    """Return how the response at ω → 0 converges with the number of modes summed; the vectors are not kept.
+    """Return the convergence of the response at ω → 0 with the number of modes; the vectors are not stored.
 
     Parameters
     ----------
     packing, count, prestress, strain, comm, name, progress
-        As for :func:`petscjam.lowest_modes`; sums of up to ``count`` modes are taken.
+        As for :func:`petscjam.lowest_modes`; sums have up to ``count`` modes.
 
     Raises
     ------

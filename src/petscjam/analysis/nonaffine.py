@@ -1,4 +1,4 @@
-"""The quasi-static response: how contacts slide and disks leave the affine motion (BT eqs. 4, 19–21).
+"""The quasi-static response: relative displacements at contacts and non-affine displacements (BT eqs. 4, 19–21).
 
 Axes: c contact of the backbone, i disk of the backbone, x Cartesian.
 """
@@ -30,7 +30,7 @@ class QuasistaticResponse(Judged):
     Attributes
     ----------
     shear_modulus : float
-        G0 (of ``compression`` the bulk modulus).
+        G0 (for ``compression`` the bulk modulus).
     parallel, transverse : (C,)
         Δu∥ and Δu⊥ of each contact at the centres, the affine motion included.
     nonaffine : (n, 2)
@@ -38,7 +38,7 @@ class QuasistaticResponse(Judged):
     stretching, pre_stress : float
         Σ k(Δu∥)²/V and −Σ (f/r)(Δu⊥)²/V, the two terms of BT eq. 4: they add up to G0 in simple shear.
     disks : (n,)
-        Which disks of the packing these are.
+        Numbers of these disks in the packing.
     contacts : (C, 2)
         Disks of each contact.
     residual : float
@@ -61,7 +61,7 @@ class QuasistaticResponse(Judged):
     figure: ClassVar[str] = "petscjam.plots.nonaffine:nonaffine_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         medians = {f"median {motion}": float(np.median(self.sizes(motion))) for motion in MOTIONS}
         means = {f"mean {motion}": float(self.sizes(motion).mean()) for motion in MOTIONS}
         return {
@@ -94,7 +94,7 @@ def quasistatic_response(
     name: str = "packing",
     progress: Report | None = None,
 ) -> QuasistaticResponse:
-    """Relax the energy at unit strain: K u = −K_uγ on the backbone (BT, Relation to floppiness).
+    """Minimise the energy at unit strain: K u = −K_uγ on the backbone (BT, Relation to floppiness).
 
     Parameters
     ----------

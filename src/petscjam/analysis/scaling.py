@@ -1,6 +1,6 @@
 """Exponents with errors: power laws, collapses of curves, local slopes (BT eqs. 14–22 and Fig. 8).
 
-Errors come from packings drawn again (bootstrap): docs/design/0013-collapse.md.
+Errors come from a bootstrap over packings: docs/design/0013-collapse.md.
 
 Axes: k packing, m point, c curve, q quantity (G′, G″), w point of a curve, e exponent, b resample.
 """
@@ -19,8 +19,8 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.base.types import Array
 
 ESTIMATORS: dict[str, Callable[..., Any]] = {"mean": np.mean, "median": np.median}
-PRIOR = 8  # packings: the weight of the scatter common to all points, in that of one
-STEP, TOLERANCE = 0.1, 1e-4  # of an exponent: the first step, and where the search ends
+PRIOR = 8  # packings: weight of the mean scatter of all points in that of one point
+STEP, TOLERANCE = 0.1, 1e-4  # of an exponent: first step, and final accuracy of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class PowerFit:
     window : (float, float)
         The lowest and the highest x fitted.
     points : int
-        How many there are.
+        Number of points.
     chi2 : float
-        χ² per degree of freedom; NaN of two points.
+        χ² per degree of freedom; NaN for two points.
     """
 
     exponent: float
@@ -59,19 +59,19 @@ def power_law(
 ) -> PowerFit:
     """Fit a straight line through ln(mean of y) against ln x.
 
-    The error is the spread of the slope when, at each x by itself, n − 1 of the n packings are drawn with
-    replacement. It does not know of a bend: ``chi2`` and :func:`local_exponents` do. A point weighs by the
-    inverse of its variance, into which the relative scatter of all points goes as ``PRIOR`` packings more,
-    for a few packings do not know their own.
+    The error is the scatter of the slope if n − 1 of the n packings are drawn with replacement, independently at
+    each x. It does not include a curvature: see ``chi2`` and :func:`local_exponents`. The weight of a point is
+    the inverse of its variance. The mean relative scatter of all points enters this variance like ``PRIOR``
+    additional packings, because the scatter of a few packings is inaccurate.
 
     Parameters
     ----------
     x : (m,) array_like
         For instance pressures.
     samples : m array_likes
-        The values of the packings at each x. Some may be negative, if no mean that is drawn is.
+        The values of the packings at each x. Some may be negative, but not the mean of a resample.
     window : (float, float)
-        Fit x between these, both included. Left out: all.
+        Fit x between these, both included. Default: all.
     estimator : str
         ``mean`` or ``median`` over packings.
     resamples, seed : int
@@ -79,8 +79,8 @@ def power_law(
     Raises
     ------
     InputError
-        On fewer than two x in the window or two packings at one, packings that do not differ, values that
-        are not finite, an x or a mean that is not positive.
+        On fewer than two x in the window or two packings at one, packings with equal values, values that are not
+        finite, an x or a mean that is not positive.
     """
     x, values = _within(np.asarray(x, dtype=float), samples, window)
     logs = np.stack(
@@ -102,7 +102,7 @@ def power_law(
 
 
 def _within(x: Array, samples: Sequence[ArrayLike], window: tuple[float, float] | None) -> tuple[Array, list[Array]]:
-    """Return the x of the window, rising, and their samples."""
+    """Return the x of the window, ascending, and their samples."""
     if x.ndim != 1 or len(x) != len(samples):
         raise InputError(f"power law: {x.size} x, but {len(samples)} sets of samples")
     _check_positive("power law: x", x)
@@ -118,14 +118,14 @@ def local_exponents(
 ) -> tuple[PowerFit, ...]:
     """Fit power laws in windows of ``points`` neighbouring x, sliding by one, from low x to high.
 
-    Where they drift by more than their errors, one exponent for all x has a systematic error of that size.
+    If they drift by more than their errors, one exponent for all x has a systematic error of this size.
 
     Parameters
     ----------
     x, samples
         As for :func:`power_law`.
     points : int
-        Of each window.
+        Number of points of each window.
     **settings
         The other parameters of :func:`power_law`.
 
@@ -171,7 +171,7 @@ def local_slope(f: Callable[[Array], Any], x: ArrayLike, step: float = 0.01) -> 
 
 
 def log_slope(x: ArrayLike, y: ArrayLike) -> float:
-    """Return d ln y/d ln x of the straight line that fits best; NaN of fewer than two points.
+    """Return d ln y/d ln x of the best straight line; NaN for fewer than two points.
 
     Parameters
     ----------
@@ -192,9 +192,9 @@ class Curve:
     x : (w,)
         Positive, in any order, all different.
     samples : (k, w) or (k, q, w)
-        Of each packing, one quantity or several (G′ and G″), which then collapse with the same exponents.
+        For each packing one quantity or several (G′ and G″), which then collapse with the same exponents.
     parameters : dict of float
-        What the form scales with, for instance ``{"p": 1e-3}``.
+        Parameters of the scaling form, for instance ``{"p": 1e-3}``.
     """
 
     x: ArrayLike
@@ -204,17 +204,17 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Collapse:
-    """Exponents with which curves fall on one.
+    """Exponents of a collapse.
 
     Attributes
     ----------
     exponents, errors : dict of float
         By name, and their standard errors.
     quality : float
-        S of :func:`quality`: about 1, or less where the points of a curve go together, if the curves agree
-        within their errors. Much more: they do not.
+        S of :func:`quality`: about 1 if the curves agree within their errors, or less if the errors of a curve
+        are correlated. If S is much larger, they do not agree.
     overlap : float
-        As :func:`overlap` gives it.
+        See :func:`overlap`.
     resampled : (b, e)
         Exponents of each resample, in the order of the names: the error of a function of the exponents is
         the standard deviation of that function.
@@ -241,7 +241,7 @@ def critical(mu: float, lam: float, *, p: float) -> tuple[float, float]:
 
 
 def finite_size(a: float, b: float = 2.0, *, N: float) -> tuple[float, float]:
-    """Return X/x = N^b and Y/y = N^−a: η0 against p (BT Fig. 8). Where η0 does not depend on N, y ~ x^(−a/b).
+    """Return X/x = N^b and Y/y = N^−a: η0 against p (BT Fig. 8). If η0 does not depend on N, y ~ x^(−a/b).
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def finite_size(a: float, b: float = 2.0, *, N: float) -> tuple[float, float]:
 def log_corrected(c: float = 0.65, b: float = 0.5, *, p: float) -> tuple[float, float]:
     """Return X/x = p^−b and Y/y = (−ln p)^−c: the correlation length under Stokes drag (BT Fig. 7d).
 
-    BT print l(−ln p)^0.65. It is with the other sign of the exponent that lengths collapse.
+    BT print l(−ln p)^0.65; lengths collapse with the opposite sign of the exponent.
 
     Parameters
     ----------
@@ -269,9 +269,9 @@ def log_corrected(c: float = 0.65, b: float = 0.5, *, p: float) -> tuple[float, 
 
 
 def parabola_distance(curves: Sequence[Curve], form: Callable[..., tuple[float, float]], **exponents: float) -> float:
-    """Return the rms distance of ln Y from the parabola in ln X that fits best, of the means over packings.
+    """Return the rms distance of ln Y from the best parabola in ln X, for the means over packings.
 
-    It says how well curves collapse that are too short to be compared with each other.
+    It measures the collapse of curves that are too short to be compared with each other.
 
     Parameters
     ----------
@@ -297,9 +297,9 @@ def nearest_parabola(
     bounds: tuple[float, float],
     resamples: int = 200,
 ) -> tuple[float, float]:
-    """Find the exponent with the least :func:`parabola_distance`, and its standard error.
+    """Find the exponent with the smallest :func:`parabola_distance`, and its standard error.
 
-    The error is the spread when n − 1 of the n packings of each curve are drawn with replacement.
+    The error is the scatter if n − 1 of the n packings of each curve are drawn with replacement.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def nearest_parabola(
     name : str
         Of the exponent.
     bounds : (float, float)
-        Between which it is sought.
+        Range of the search.
     resamples : int
 
     Returns
@@ -342,34 +342,34 @@ def collapse(
     seed: int = 0,
     least_overlap: float = 0.3,
 ) -> Collapse:
-    """Find the exponents with which curves fall on one: the least :func:`quality` of ln Y against ln X.
+    """Find the exponents of the best collapse: the smallest :func:`quality` of ln Y against ln X.
 
-    The search (Nelder and Mead) goes downhill from ``start``. It is done again for each resample, in which
-    n − 1 of the n packings of each curve are drawn with replacement, whole packings, so that correlations
-    along a curve and between quantities count; curves are taken to be independent. The errors of the points
-    stay as they are.
+    The search (Nelder and Mead) starts from ``start`` and finds a local minimum. It is repeated for each
+    resample, in which n − 1 of the n packings of each curve are drawn with replacement. Whole packings are drawn,
+    so correlations along a curve and between quantities are included; curves are assumed to be independent. The
+    errors of the points are not resampled.
 
     Parameters
     ----------
     curves : sequence of Curve
-        As far as they are meant to collapse: without the affine regime, for instance.
+        Only the data that should collapse: for instance without the affine regime.
     form : callable
-        ``form(**exponents, **parameters)`` returns X/x and Y/y, as :func:`critical` or :func:`finite_size`.
+        ``form(**exponents, **parameters)`` returns X/x and Y/y, like :func:`critical` or :func:`finite_size`.
     start : dict of float
-        The exponents to be found and where to start. The others stay at the defaults of ``form``.
+        The exponents to be found, with their initial values. Others have the defaults of ``form``.
     estimator : str
         ``mean`` or ``median`` over packings.
     resamples, seed : int
     least_overlap : float
-        Exponents with which the curves share less (:func:`overlap`) do not count.
+        Exponents with a smaller :func:`overlap` of the curves are not accepted.
 
     Raises
     ------
     InputError
-        On fewer than two curves, quantities that differ, too little overlap at the start, an exponent or
-        parameter that ``form`` does not know, and values as in :func:`power_law`.
+        On fewer than two curves, different numbers of quantities, too little overlap at the start, an exponent or
+        parameter that ``form`` does not have, and values as in :func:`power_law`.
     SolverError
-        If curves are best pushed apart, that is if nothing collapses, or if the search does not end.
+        If the cost is smallest at the least overlap, that is without a collapse, or if the search does not converge.
     """
     if len(curves) < 2:
         raise InputError(f"collapse: {len(curves)} curves; it takes two")
@@ -404,7 +404,7 @@ def collapse(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Curves, in logarithms, and the search for the exponents: ln x (w,), ln y (1 + b, q, w) of each curve."""
+    """Curves in logarithms, and the search for the exponents: ln x (w,), ln y (1 + b, q, w) of each curve."""
 
     curves: Sequence[Curve]
     form: Callable[..., tuple[float, float]]
@@ -436,7 +436,7 @@ class _Search:
         return cls(curves, form, names, x, logs, variance, covariance)
 
     def scaled(self, exponents: Array) -> tuple[list[Array], Array]:
-        """Return ln X of each curve, and what is added to its ln y."""
+        """Return ln X of each curve, and ln Y − ln y."""
         chosen = dict(zip(self.names, exponents, strict=True))
         factors = np.log([self.form(**chosen, **curve.parameters) for curve in self.curves])
         return [points + shift for points, shift in zip(self.x, factors[:, 0], strict=True)], factors[:, 1]
@@ -448,7 +448,7 @@ class _Search:
         return quality(X, Y, self.variance, self.covariance)
 
     def best(self, begin: Array, b: int, least_overlap: float) -> Array:
-        """Return the exponents of the least S, downhill from ``begin``."""
+        """Return the exponents of the smallest S, from ``begin``."""
 
         def cost(exponents: Array) -> float:
             return self.quality(exponents, b) if overlap(self.scaled(exponents)[0]) >= least_overlap else np.inf
@@ -461,28 +461,28 @@ class _Search:
             options={"initial_simplex": corners, "xatol": TOLERANCE, "fatol": np.inf, "maxfev": 500 * len(begin)},
         )
         if not found.success:
-            raise SolverError(f"collapse: the search does not end: {found.message}")
+            raise SolverError(f"collapse: the search does not converge: {found.message}")
         return np.asarray(found.x)
 
 
 def quality(x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], covariance: Sequence[Array]) -> float:
-    """Return how far curves are from each other, in squared standard errors: 1 if they agree within these.
+    """Return the mean squared distance between curves in units of squared standard errors: 1 if they agree.
 
-    A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). Where curves share a stretch of
-    x, each is compared with the weighted mean Y ± dY of the others there, all interpolated linearly: S is the
-    mean of (y − Y)²/(dy² + dY²) over quantities, curves and the length shared. A mean over points instead
-    would jump where a point comes into the stretch shared, and a search would end there. dy and dY know that
-    neighbouring points of a curve go together; taken to be independent they make S oscillate with the grid.
+    A variant of S of Houdayer and Hartmann, Phys. Rev. B 70, 014418 (2004). In a common range of x, each curve is
+    compared with the weighted mean Y ± dY of the others, all interpolated linearly: S is the mean of (y −
+    Y)²/(dy² + dY²) over quantities, curves and the length of the common range. A mean over points would jump when
+    a point enters the common range, and a search would end there. dy and dY include the correlation of
+    neighbouring points of a curve; without it S would oscillate with the grid.
 
     Parameters
     ----------
     x : c arrays (w,)
-        Rising.
+        Ascending.
     y, variance : c arrays (q, w)
     covariance : c arrays (q, w)
-        Of each y with the next one; the last counts for nothing.
+        Of each y with the next one; the last is not used.
     """
-    edges = np.unique(np.concatenate(x))  # in between, every curve is straight or absent
+    edges = np.unique(np.concatenate(x))  # between these points every curve is straight or absent
     width, middle = np.diff(edges), (edges[:-1] + edges[1:]) / 2
     reaches, lines, squares = [], [], []
     for points, values, V, C in zip(x, y, variance, covariance, strict=True):
@@ -504,10 +504,10 @@ def quality(x: Sequence[Array], y: Sequence[Array], variance: Sequence[Array], c
 
 
 def overlap(x: Sequence[Array]) -> float:
-    """Return the weakest link of curves that follow one another along x.
+    """Return the smallest overlap of curves along x.
 
-    Each but the first shares a stretch with those that begin before it: what part of the shorter of the two
-    that is, the least of all. Negative where there is a gap.
+    For each curve except the first: the length of the common range with the curves that begin before it, divided
+    by the shorter of the two lengths. Negative if there is a gap.
     """
     ends = np.array(sorted((points.min(), points.max()) for points in x))
     low, high = ends[1:].T
@@ -517,7 +517,7 @@ def overlap(x: Sequence[Array]) -> float:
 
 
 def _log_curve(curve: Curve, estimator: str, resamples: int, seed: tuple[int, ...], where: str) -> tuple[Array, Array]:
-    """Return ln x, rising, and ln y (1 + b, q, w)."""
+    """Return ln x, ascending, and ln y (1 + b, q, w)."""
     x, samples = np.asarray(curve.x, dtype=float), np.asarray(curve.samples, dtype=float)
     if x.ndim != 1 or samples.ndim not in (2, 3) or samples.shape[-1] != len(x) or len(np.unique(x)) < 2:
         raise InputError(
@@ -537,13 +537,13 @@ def _log_estimates(samples: Array, estimator: str, resamples: int, seed: tuple[i
     if estimator not in ESTIMATORS:
         raise InputError(f"estimator {estimator!r} is not one of {', '.join(ESTIMATORS)}")
     if resamples < 2:
-        raise InputError(f"{resamples} resamples; errors take at least two, good ones hundreds")
+        raise InputError(f"{resamples} resamples; errors need at least two, accurate ones hundreds")
     n = len(samples) if samples.ndim else 0
     if n < 2:
-        raise InputError(f"{where}: {n} packings; an error takes two")
+        raise InputError(f"{where}: {n} packings; an error needs two")
     if not np.isfinite(samples).all():
         raise InputError(f"{where}: a value is {samples[~np.isfinite(samples)][0]}")
-    samples = samples[np.lexsort(samples.reshape(n, -1).T)]  # the order they come in is of no account
+    samples = samples[np.lexsort(samples.reshape(n, -1).T)]  # independent of the order of the packings
     draws = np.random.default_rng(seed).integers(n, size=(resamples, n - 1))
     of = ESTIMATORS[estimator]
     values = np.concatenate([of(samples, axis=0)[None], of(samples[draws], axis=1)])

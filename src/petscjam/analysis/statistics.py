@@ -1,4 +1,4 @@
-"""Means over packings: which results are averaged together, and with what standard error.
+"""Means over packings: groups of results, and standard errors.
 
 Axes: k packing, m group, w frequency.
 """
@@ -22,7 +22,7 @@ K = TypeVar("K", float, tuple[Any, ...])
 
 
 def deviation(samples: ArrayLike) -> Any:
-    """Return s = (Σ(x − x̄)²/(n − 1))^½ over the first axis; NaN of one sample; of complex ones, part by part."""
+    """Return s = (Σ(x − x̄)²/(n − 1))^½ over the first axis; NaN for one sample; complex ones: of each part."""
     values = np.asarray(samples)
     if np.iscomplexobj(values):
         return deviation(values.real) + 1j * deviation(values.imag)
@@ -42,7 +42,7 @@ def means(samples: Iterable[ArrayLike]) -> tuple[Array, Array]:
 
 
 def binned_medians(x: ArrayLike, y: ArrayLike, bins: int) -> tuple[Array, Array]:
-    """Return the geometric mean of x and the median of y in bins that are even in ln x, empty ones left out.
+    """Return the geometric mean of x and the median of y in equal bins of ln x, without empty ones.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ def binned_medians(x: ArrayLike, y: ArrayLike, bins: int) -> tuple[Array, Array]
 
 
 def nominal(pressure: float) -> float:
-    """Return ``pressure`` to three digits: packings prepared for one pressure then have the same."""
+    """Return ``pressure`` to three digits, the same for all packings of one target pressure."""
     return float(f"{pressure:.2e}")
 
 
 def grouped(results: Iterable[R], key: Callable[[R], K]) -> dict[K, list[R]]:
-    """Return the results by their key, the lowest first.
+    """Return the results by their key, in ascending order.
 
     Parameters
     ----------
@@ -77,21 +77,21 @@ def grouped(results: Iterable[R], key: Callable[[R], K]) -> dict[K, list[R]]:
 
 
 def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
-    """Return the results by nominal pressure, the lowest first.
+    """Return the results by nominal pressure, in ascending order.
 
     Parameters
     ----------
     results : iterable
         Results of packings.
     **same
-        Attributes that a result must have to be taken, compared as text: ``prestress=False``.
+        Attributes of the results to include, compared as text: ``prestress=False``.
     """
     some = [r for r in results if all(str(getattr(r, key)) == str(value) for key, value in same.items())]
     return grouped(some, lambda r: nominal(r.origin.pressure))
 
 
 class Kind(NamedTuple):
-    """What results that are averaged have in common; the law is empty, the grid too, of results without."""
+    """The common properties of averaged results; law and grid are empty for results without them."""
 
     law: str
     prestress: bool
@@ -101,7 +101,7 @@ class Kind(NamedTuple):
 
 
 def alike(results: Mapping[str, R]) -> dict[Kind, dict[str, R]]:
-    """Return the results, by name, of each :class:`Kind`, in the order in which the kinds come."""
+    """Return the results, by name, of each :class:`Kind`, in the order of their first result."""
     groups: dict[Kind, dict[str, R]] = {}
     for name, r in results.items():
         law, grid = r.origin.damping, getattr(r, "omega", ())
@@ -123,11 +123,11 @@ class Average:
     error : (W,) complex
         Standard errors of the two means.
     count : int
-        Packings that were averaged.
+        Number of averaged packings.
     excluded : tuple of str
-        Packings that were not, not being stable.
+        Unstable packings, which were left out.
     unbalanced : tuple of str
-        Packings that were averaged and are not in balance: without pre-stress that makes none unstable.
+        Averaged packings that are not in balance: without pre-stress they can be stable.
     """
 
     omega: Array
@@ -149,9 +149,9 @@ def average(
     results : mapping of ComplexModulus
         By name.
     omegas : (W,), optional
-        Angular frequencies, 1/τ1. Left out: the grid that all results have in common.
+        Angular frequencies, 1/τ1. Default: the common grid of all results.
     unstable : bool
-        Average packings that are not stable, too. Otherwise ``excluded`` names them.
+        Include unstable packings. Otherwise ``excluded`` has their names.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def average(
 
 
 def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:
-    """Return G* at ``omega``, from the model where that is not the grid of the result."""
+    """Return G* at ``omega``, from the model if this is not the grid of the result."""
     if np.array_equal(g.omega, omega):
         return g.values
     if g.model is None or omega.min() < g.model.span[0] or omega.max() > g.model.span[1]:

@@ -1,4 +1,4 @@
-"""The viscosity at ω → 0, and the modulus there, without a sweep (BT eq. 22, Fig. 8)."""
+"""Viscosity and modulus at ω → 0, without other frequencies (BT eq. 22, Fig. 8)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Viscosity(Judged):
     figure: ClassVar[str] = "petscjam.plots.viscosity:viscosity_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         return {
             "law": str(self.damping),
             "eta0": self.eta0,
@@ -87,4 +87,4 @@ def viscosity(
     )
 
 
-VERB = Verb(viscosity, "eta0 and G0, one group a packing and law")
+VERB = Verb(viscosity, "eta0 and G0, one group for each packing and law")
