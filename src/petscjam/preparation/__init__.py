@@ -1,1 +1,1 @@
-"""Packings made, minimised, certified, and collected in libraries."""
+"""Preparation of packings: random start, minimisation, certificate, libraries."""

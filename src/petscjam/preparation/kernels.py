@@ -1,8 +1,8 @@
-"""The hot loops of packing preparation, compiled by numba: forces, and two minimisers.
+"""The loops of packing preparation, compiled by numba: forces, and two minimisers.
 
-Disks are sorted in space and cut into chunks; pairs come chunk by chunk
-(:func:`petscjam.geometry.neighbours.find`). Chunks are shared among threads, and each is added up in order: sums
-do not depend on the number of threads. Vectors in the plane are complex numbers, x + iy, here.
+Disks are sorted in space and divided into chunks; pairs are listed chunk by chunk
+(:func:`petscjam.geometry.neighbours.find`). Chunks are distributed over threads, and each is summed in order:
+sums do not depend on the number of threads. Vectors are complex numbers, x + iy, here.
 
 Axes: i, j disks of pair c, s strain of the cell.
 """
@@ -227,7 +227,7 @@ def _inner_threaded(n, g, v, found):
 
 @njit(cache=True)
 def _advance(z, v, g, step, system):
-    """Take a :class:`Step`; return the largest velocity, and the longest way of a disk since the list was built."""
+    """Take a :class:`Step`; return the largest velocity, and the largest displacement since the list was built."""
     n, built, threads = system.n, system.pairs.built, system.threads
     found = np.empty(((n + CHUNK - 1) // CHUNK, 2))
     if threads:
@@ -251,7 +251,7 @@ def _advance_threaded(z, v, g, step, built, n, found):
 
 @njit(cache=True)
 def stale(moved, z, pairs, cell):
-    """Tell whether a pair that is not in the list may touch at ``z``.
+    """Return whether a pair that is not in the list may touch at ``z``.
 
     Only non-affine motion counts: F·F_built⁻¹ shrinks the distance of a pair by at most its smallest singular
     value.
@@ -259,7 +259,7 @@ def stale(moved, z, pairs, cell):
     Parameters
     ----------
     moved : float
-        Longest non-affine displacement of a disk since the list was made.
+        Largest non-affine displacement of a disk since the list was made.
     z : (2n + S,)
     pairs : NeighbourList
     cell : CellStrains
@@ -285,7 +285,7 @@ def _largest_square(vectors):
 
 @njit(cache=True, fastmath=FAST)
 def farthest(n, z, built):
-    """Return the longest displacement of a disk.
+    """Return the largest displacement of a disk.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def farthest(n, z, built):
 
 @njit(cache=True)
 def stress_error(stress, cell):
-    """Return the largest error of what the cell relaxes: the pressure, or every part of the pressure tensor.
+    """Return the largest error of the relaxed part of the stress: of the pressure, or of the pressure tensor.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def stress_error(stress, cell):
 
 @njit(cache=True)
 def reached(now, cell, goal):
-    """Tell whether forces and stress meet the goal.
+    """Return whether forces and stress meet the goal.
 
     Parameters
     ----------
@@ -334,9 +334,9 @@ def reached(now, cell, goal):
 
 @njit(cache=True)
 def fire(z, g, v, state, now, goal, bounds, system):
-    """Take steps of FIRE until the goal is reached, the list is stale, or the gradients are spent.
+    """Take steps of FIRE until the goal is reached, the list is invalid, or the gradients are used up.
 
-    ``z``, ``v`` and ``state`` change in place, and ``g`` unless the list is stale (Bitzek et al., Phys. Rev.
+    ``z``, ``v`` and ``state`` change in place, and ``g`` unless the list is invalid (Bitzek et al., Phys. Rev.
     Lett. 97, 170201).
 
     Parameters
@@ -385,7 +385,7 @@ def fire(z, g, v, state, now, goal, bounds, system):
 
 @njit(cache=True, fastmath=FAST)
 def _along(z, d, step, trial, built, n):
-    """Set ``trial`` to z + step·d; return the longest way of a disk since ``built``."""
+    """Set ``trial`` to z + step·d; return the largest displacement of a disk since ``built``."""
     for s in range(2 * n, len(z)):
         trial[s] = z[s] + step * d[s]
     most = 0.0
@@ -406,7 +406,7 @@ def _dot(a, b):
 
 @njit(cache=True, fastmath=FAST)
 def _turn(z, g, d, trial, g_trial):
-    """Move z and g to the trial point, turn d by Polak–Ribière+; return the slope along d, and max |d|."""
+    """Move z and g to the trial point, update d by Polak–Ribière+; return the slope along d, and max |d|."""
     gg = across = new = 0.0
     for s in range(len(z)):
         gg += g[s] * g[s]
@@ -429,11 +429,11 @@ def _turn(z, g, d, trial, g_trial):
 
 @njit(cache=True)
 def conjugate_gradients(line, state, now, goal, gradients, limit, system):
-    """Take steps of Polak–Ribière+ conjugate gradients until the goal, a stale list, or ``gradients``.
+    """Take steps of Polak–Ribière+ conjugate gradients until the goal, an invalid list, or ``gradients``.
 
-    A line is followed until the slope of H along d has risen to within 5 % of zero, by secants; a looser
-    search takes more gradients at low pressure, a tighter one no fewer. Only gradients are compared: energies
-    stop telling points apart at √ε of the way. ``line`` and ``state`` change in place.
+    A line search with secants ends when the slope of H along d is within 5 % of zero; with a larger tolerance
+    more gradients are needed at low pressure, with a smaller one not fewer. Only gradients are compared, because
+    energies have a resolution of only √ε in the position along the line. ``line`` and ``state`` change in place.
 
     Parameters
     ----------
@@ -444,7 +444,7 @@ def conjugate_gradients(line, state, now, goal, gradients, limit, system):
         At z.
     goal : Goal
     gradients : int
-        Most of them.
+        Largest number of gradients.
     limit : float
         Largest displacement of a step.
     system : System

@@ -1,8 +1,8 @@
 """Libraries: folders of packings of several sizes, pressures and seeds, made by one recipe.
 
-A folder holds one file for each packing; ``library.json``, the recipe; and ``index.csv``, a line for each
-packing and for each failure, with the time it took. The packings are the truth: a line that is lost or
-torn is written again from them, and only its time is gone.
+A folder contains one file for each packing; ``library.json``, the recipe; and ``index.csv``, a line for each
+packing and for each failure, with the computing time. A line that is lost or damaged is written again from the
+packing, without its time.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ WORTH_THREADS = 10_000  # disks
 
 @dataclass(frozen=True)
 class Recipe:
-    """What the packings of a library have in common; all but ``decompress`` as in :func:`prepare_packing`.
+    """The common settings of the packings of a library; all except ``decompress`` as in :func:`prepare_packing`.
 
     Parameters
     ----------
     decompress : bool
-        Whether the packings of one size and seed are a family: the one of the highest pressure has a
-        random start, each other one is the one before it, decompressed.
+        Whether the packings of one size and seed are a series: the one of the highest pressure has a random
+        start, each other one starts from the one before it.
     """
 
     shear_stabilised: bool = False
@@ -85,7 +85,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Library:
-    """What a folder of packings holds.
+    """The content of a folder of packings.
 
     Attributes
     ----------
@@ -93,15 +93,14 @@ class Library:
     recipe : mapping
         Settings by name; empty if the folder was not made by :func:`prepare_library`.
     rows : list of dicts
-        For each packing: ``file``, ``particles``, ``target`` (pressure asked for), ``seed``, ``potential``,
-        ``phi``, ``pressure``, ``Z``, ``rattlers``, ``contacts``, ``lowest_eigenvalue``, ``shear_modulus``
-        (over all directions the lowest), ``max_force``, ``proved``, ``checksum``, ``seconds``; None: not
-        known.
+        For each packing: ``file``, ``particles``, ``target`` (target pressure), ``seed``, ``potential``,
+        ``phi``, ``pressure``, ``Z``, ``rattlers``, ``contacts``, ``lowest_eigenvalue``, ``shear_modulus`` (the
+        lowest over all directions), ``max_force``, ``proved``, ``checksum``, ``seconds``; None: unknown.
     failed : list of dicts
-        For each packing that could not be made: ``file``, ``particles``, ``target``, ``seed``,
+        For each packing that failed: ``file``, ``particles``, ``target``, ``seed``,
         ``seconds``, ``failure``, the reason.
     tried : set of strings
-        The files that :func:`prepare_library` set out to make.
+        The files that :func:`prepare_library` tried to make.
     """
 
     folder: Path
@@ -113,7 +112,7 @@ class Library:
 
 @dataclass(frozen=True)
 class _Series:
-    """Packings that are made one after the other: of a family, or just one."""
+    """Packings that are made one after the other: a series of pressures, or a single one."""
 
     n: int
     seed: int
@@ -125,7 +124,7 @@ class _Series:
             yield pressure, f"N{self.n}_p{pressure:g}_s{self.seed:04d}.h5"
 
     def cost(self, pressure: float) -> float:
-        """Time to make one, in some unit."""
+        """Computing time, in any unit."""
         return self.n * pressure**-0.3
 
 
@@ -144,26 +143,26 @@ def prepare_library(
     progress: Report | None = None,
     **recipe: Any,
 ) -> Library:
-    """Prepare a packing of every size, pressure and seed in ``folder``, and return what it then holds.
+    """Prepare a packing of every size, pressure and seed in ``folder``, and return its content.
 
-    Each is made by one rank, and does not depend on how many ranks there are. One that fails does not stop the
-    others; it is among ``failed`` of the library, and tried again on ``resume``.
+    Each is made by one rank, and does not depend on the number of ranks. If one fails, the others continue; it is
+    in ``failed`` of the library, and tried again with ``resume``.
 
     Parameters
     ----------
     folder : path
-        Made if it does not exist. Packings that lie there already must be of the same recipe.
+        Made if it does not exist. Existing packings in it must have the same recipe.
     particles, pressures, seeds : iterables
-        As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`; of a pressure twelve digits count.
+        As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`; pressures have twelve digits.
     comm : communicator
     resume : bool
-        Leave alone what exists; else an error, unless ``overwrite``.
+        Keep existing packings; else they are an error, unless ``overwrite``.
     threads : int, optional
-        For each rank. Left out: the cores it has for itself, if the packings are large and few.
+        For each rank. Default: its share of the cores if the packings are large and few, else 1.
     budget : int
         Evaluations of the force, for each packing.
     progress : callable, optional
-        As in :func:`prepare_packing`; the fraction is that of the rank's own work.
+        As in :func:`prepare_packing`; the fraction is that of the work of the rank.
     **recipe
         The fields of :class:`Recipe`.
 
@@ -193,7 +192,7 @@ def _fill(
     budget: int,
     progress: Report | None,
 ) -> None:
-    """Make what is missing, each series by one rank."""
+    """Make missing packings, each series by one rank."""
     todo = [s for s in series if any(name in missing for _, name in s.names())]
     threads = threads or threads_for([s.n for s in todo], comm)
 
@@ -209,7 +208,7 @@ def _fill(
                 report = _share(progress, done / everything, work(s) / everything)
                 _make(folder, s, settings, missing, report, threads=threads, budget=budget)
                 done += work(s)
-        except (Exception, Interrupted) as caught:  # a full disk, for instance: this rank's alone
+        except (Exception, Interrupted) as caught:  # for instance a full disk: on this rank only
             error = caught
     raise_together(comm, error)
 
@@ -228,7 +227,7 @@ def threads_for(sizes: Sequence[int], comm: Comm) -> int:
 
 
 def read_library(folder: str | PathLike[str]) -> Library:
-    """Read what a folder of packings holds, whether :func:`prepare_library` made it or not.
+    """Read a folder of packings, made by :func:`prepare_library` or not.
 
     Raises
     ------
@@ -242,7 +241,7 @@ def read_library(folder: str | PathLike[str]) -> Library:
 
 
 def exists(file: Path, n: int, pressure: float, seed: int, recipe: Recipe, before: Sequence[float] = ()) -> bool:
-    """Tell whether the packing is there.
+    """Return whether the packing exists.
 
     Parameters
     ----------
@@ -251,7 +250,7 @@ def exists(file: Path, n: int, pressure: float, seed: int, recipe: Recipe, befor
         As for :func:`prepare_packing`.
     recipe : Recipe
     before : sequence of float
-        Pressures of the packings that it is decompressed from.
+        Pressures of the packings before it in a decompressed series.
 
     Raises
     ------
@@ -295,7 +294,7 @@ def _planned(
 
 
 def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, overwrite: bool) -> set[str]:
-    """Write recipe and index, if nothing speaks against it; return what is missing."""
+    """Write recipe and index, after all checks; return the missing packings."""
     library = _read(folder, recipe)
     missing = set()
     for s in series:
@@ -304,7 +303,7 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
             if overwrite or not (resume and exists(folder / name, s.n, pressure, s.seed, recipe, before)):
                 check_output(folder / name, overwrite=overwrite)
                 missing.add(name)
-    for file in folder.glob(".*.part"):  # half-written by a run that was killed
+    for file in folder.glob(".*.part"):  # incomplete, from a run that was killed
         if file.name[1:].rsplit(".", 2)[0] in {*missing, RECIPE, INDEX}:
             with suppress(OSError):
                 file.unlink()
@@ -318,7 +317,7 @@ def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, o
 
 
 def _make(folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress: Report | None, **options: Any) -> None:
-    """Make what is missing of a series; the packing before, to decompress, is read from its file."""
+    """Make the missing packings of a series; the packing before, to decompress, is read from its file."""
     before: list[float] = []
     last: Path | None = None
     failure = ""
@@ -360,7 +359,7 @@ def _make(folder: Path, s: _Series, recipe: Recipe, missing: set[str], progress:
 
 
 def _share(progress: Report | None, start: float, part: float, label: str = "") -> Report | None:
-    """Return the report of a part of the work."""
+    """Return the progress function of a part of the work."""
     if progress is None:
         return None
     return lambda fraction, text: progress(start + fraction * part, label + text)
@@ -381,7 +380,7 @@ def _read(folder: Path, recipe: Recipe | None = None) -> Library:
         kinds[(recipe.potential_name, 1.0)] = RECIPE
     for file in files:
         with open_h5(file) as h5:
-            if OURS not in h5:  # results may lie among the packings
+            if OURS not in h5:  # results may be in the same folder
                 continue
         packing = Packing.read(file)
         kinds.setdefault(_kind(packing), file.name)
@@ -422,7 +421,7 @@ def _checksum(recipe: Mapping[str, Any]) -> str:
 
 
 def _logged(file: Path) -> dict[str, dict[str, str]]:
-    """Return the lines of the index that are whole, by file; the last one counts."""
+    """Return the complete lines of the index by file; of several the last is valid."""
     if not file.exists():
         return {}
     with naming(file):
@@ -432,7 +431,7 @@ def _logged(file: Path) -> dict[str, dict[str, str]]:
 
 
 def _kind(packing: Packing) -> tuple[str, float]:
-    """Return what fixes the units: the potential and, but for fluctuations, the mean diameter."""
+    """Return what determines the units: the potential and, except for fluctuations, the mean diameter."""
     ours = packing.provenance.get("program") == "petscjam"
     return packing.potential_name, 1.0 if ours else packing.mean_diameter
 
@@ -506,7 +505,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 def _append(file: Path, row: Mapping[str, Any]) -> None:
-    """Append a line by one call: ranks that do so at the same time do not mix theirs."""
+    """Append a line with one call, so that lines of several ranks do not mix."""
     with naming(file):
         index = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:

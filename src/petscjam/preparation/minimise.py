@@ -27,23 +27,23 @@ REPORT_EVERY = 200
 class Enthalpy:
     """H = U + pV of disks in a periodic cell, as a function of one flat vector z, (2N + S,).
 
-    z holds the positions in the cell as it was given, sorted in space, and then w·e for each strain that
-    relaxes: the deformation gradient is F = 1 + Σ e_s E_s. With w = √N d the curvature of H along a strain
-    is about that along a disk: kNd²/w² = k.
+    z has the positions in the reference cell, sorted in space, and then w·e for each strain that relaxes: the
+    deformation gradient is F = 1 + Σ e_s E_s. With w = √N d the curvature of H along a strain is about that along
+    the displacement of a disk: kNd²/w² = k.
 
     Parameters
     ----------
     packing : Packing
     pressure : float or None
-        Target; ``None`` keeps the cell as it is.
+        Target; ``None``: the cell is fixed.
     shape : bool
-        Whether both shears of the cell relax, too, and not only its size.
+        Whether both shears of the cell relax, and not only its size.
     threads : int
-        They matter beyond 4096 disks, and only for the time it takes.
+        They have an effect from 4096 disks on, and only on the time.
     budget, evaluations : int
-        Gradients that may be evaluated, and how many of them have been.
+        Largest number of gradients, and number of gradients so far.
     report : callable
-        Called now and then with the object itself and z.
+        Called regularly with the object itself and z.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Enthalpy:
     now : Forces
         Of the last gradient.
     evaluations : int
-        Gradients evaluated so far.
+        Number of gradients so far.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Enthalpy:
 
     @property
     def stress_error(self) -> float:
-        """Largest error of what the cell relaxes: the pressure, or every part of the pressure tensor."""
+        """Largest error of the relaxed part of the stress: the pressure, or every component of the pressure tensor."""
         from petscjam.preparation import kernels
 
         return float(kernels.stress_error(self.now.stress, self.cell))
@@ -108,7 +108,7 @@ class Enthalpy:
         return z[:n].reshape(-1, 2), np.eye(2) + np.tensordot(z[n:] / self.weight, self.strains, 1)
 
     def at(self, z: Array) -> Packing:
-        """Return the packing that ``z`` stands for, its disks in their first order."""
+        """Return the packing of ``z``, its disks in their original order."""
         in_order, F = self.unpack(z)
         x = np.empty_like(in_order)
         x[self.order] = in_order @ F.T
@@ -122,7 +122,7 @@ class Enthalpy:
         return bool(kernels.reached(self.now, self.cell, goal))
 
     def distance(self, goal: Goal) -> float:
-        """How many times force or stress of the last gradient exceed ``goal``, whichever is worse."""
+        """Largest ratio of force or stress of the last gradient to ``goal``."""
         force = self.now.force / max(goal.force, goal.relative * self.pressure)
         return max(force, self.stress_error / goal.stress) if len(self.strains) else force
 
@@ -144,14 +144,14 @@ class Enthalpy:
     def downhill(self, displacement: Array, strain: Array, step: float) -> Array:
         """Return a z with a lower H on the line of a motion of disks (N, 2) and cell (2, 2) from the start.
 
-        The largest displacement is ``step``, halved until H falls up to there, else doubled while it does.
+        The largest displacement is ``step``, halved until H decreases up to it, else doubled while H decreases.
 
         Parameters
         ----------
         displacement : (N, 2)
         strain : (2, 2)
         step : float
-            Length to try first.
+            Initial length.
         """
         on_cell = [np.sum(strain * E) / np.sum(E * E) for E in self.strains]
         d = np.append(displacement[self.order], self.weight * np.array(on_cell))
@@ -166,7 +166,7 @@ class Enthalpy:
         return self.start + step * d
 
     def _count(self, z: Array, gradients: int) -> None:
-        """Count ``gradients`` evaluated, report every 200 of them, and stop if a signal has come."""
+        """Count ``gradients``, report every 200 of them, and stop after a signal."""
         check()
         before = self.evaluations
         self.evaluations += gradients
@@ -180,9 +180,9 @@ class Enthalpy:
             )
 
     def system(self, z: Array) -> System:
-        """Return what the kernels need; pairs are listed anew if one that is not in the list may touch at ``z``.
+        """Return the data of the kernels, with a new list of pairs if one that is not in the list may touch at ``z``.
 
-        The skin follows the motion: a list is to last for a hundred gradients, and costs about fourteen.
+        The skin adapts to the motion: a list should be valid for a hundred gradients; it costs about fourteen.
         """
         from petscjam.preparation import kernels
 
@@ -238,7 +238,7 @@ def fire(h: Enthalpy, z: Array, goal: Goal) -> Array:
     ----------
     h : Enthalpy
     z : (2N + S,)
-        Where it starts.
+        Initial point.
     goal : Goal
 
     Returns

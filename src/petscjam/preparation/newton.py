@@ -1,4 +1,4 @@
-"""Newton steps on the sparse Hessian finish a minimisation once the contacts have settled.
+"""Newton steps with the sparse Hessian at the end of a minimisation, when contacts hardly change.
 
 Axes: c contact, i disk (sorted as in z), x Cartesian, s strain of the cell.
 """
@@ -49,7 +49,7 @@ def descend(h: Enthalpy, z: Array, goal: Goal, closeness: float, method: str) ->
 
 
 def near(h: Enthalpy, closeness: float) -> Goal:
-    """Return the goal that no force exceeds ``closeness``·p·d, and the stress errs by ten times as much at most.
+    """Return the goal: no force above ``closeness``·p·d, and an error of the stress below ten times as much.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def near(h: Enthalpy, closeness: float) -> Goal:
     -------
     Goal
     """
-    pressure = h.target or 0.0  # at constant volume: in units of the pressure there is
+    pressure = h.target or 0.0  # at constant volume: in units of the current pressure
     return Goal(closeness * pressure * h.diameter, closeness * h.diameter, 10 * closeness * pressure)
 
 
 def first_closeness(n: int) -> float:
-    """Return the largest force, in p·d, from which Newton's method may lead to the minimum of ``n`` disks.
+    """Return the largest force, in p·d, from which Newton's method can converge for ``n`` disks.
 
-    The more disks, the more contacts are about to open or close. By experiment.
+    The more disks, the more contacts are about to open or close. Measured.
     """
     return 1e-4 * min(1.0, 1000 / n)
 
@@ -77,8 +77,8 @@ def newton(h: Enthalpy, z: Array, goal: Goal) -> Array:
     """Take Newton steps until ``goal``, or until PATIENCE of them have not halved the distance; return z.
 
     A step may open or close a few contacts and increase the forces at first; the Hessian of the new contacts
-    then lowers them. Steps that do not lower them in the end, or are not small compared with the overlaps, are
-    undone: then FIRE or conjugate gradients go on.
+    then decreases them. Steps that do not decrease them in the end, or are not small compared with the overlaps,
+    are undone, and FIRE or conjugate gradients continue.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
 
     The strains are eliminated by their Schur complement.
 
-    The Hessian is that of the contacts at hand, with their pre-stress (BT eq. 4), and SHIFT on the disks,
-    which keeps finite what nothing resists: translations and rattlers.
+    The Hessian is that of the current contacts with pre-stress (BT eq. 4), plus SHIFT on the disks, which limits
+    motions without resistance: translations and rattlers.
     """
     from mpi4py import MPI
 
@@ -146,7 +146,7 @@ def _direction(h: Enthalpy, z: Array, g: Array) -> tuple[Array, float]:
 
 
 def _pulled(g: Array, F: Array) -> Array:
-    """Turn a gradient in the reference cell into one in true coordinates."""
+    """Transform a gradient from the reference cell to true coordinates."""
     return (g.reshape(-1, 2) @ np.linalg.inv(F)).ravel()
 
 
@@ -162,7 +162,7 @@ def _volume(strains: Array) -> Array:
 def _contacts(h: Enthalpy, x: Array, F: Array) -> tuple[ContactNetwork, float]:
     """Return the contacts on the neighbour list of ``h``, the disks sorted as in z; and the area.
 
-    Rattlers get no pre-stress: it would turn them over for lack of a hold.
+    Rattlers have no pre-stress, because with it they have negative modes.
     """
     i, j, sigma = h.pairs.i.astype(int), h.pairs.j.astype(int), h.pairs.sigma
     r = x[j] - x[i]

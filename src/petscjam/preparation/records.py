@@ -1,4 +1,4 @@
-"""What the kernels of packing preparation take and return, apart from them: numba starts with the first one.
+"""Arguments and results of the kernels of packing preparation, in a module without numba.
 
 Axes: i, j disks of pair c, s strain of the cell.
 """
@@ -15,7 +15,7 @@ from petscjam.geometry.potential import Compiled
 
 
 class NeighbourList(NamedTuple):
-    """Pairs that may overlap; two disks that meet through two images are listed twice.
+    """Pairs that may overlap; two disks in contact through two images are listed twice.
 
     Attributes
     ----------
@@ -23,13 +23,13 @@ class NeighbourList(NamedTuple):
     sigma, k : (C,)
         Sum of radii; k is that of the potential (:meth:`petscjam.geometry.potential.Potential.k`).
     chunks : (R + 1,)
-        Where the pairs of each chunk start; those from chunks[R] on join chunks or cross the edge.
+        Where the pairs of each chunk start; those from chunks[R] on are pairs of two chunks or across the edge.
     image : (C − chunks[R],) complex
         Lattice translation of j for the latter, in the reference cell.
     built : (2n + S,)
         The z for which the list was made.
     skin : float
-        It then held the pairs within ρi + ρj + ``skin``.
+        The list has the pairs within ρi + ρj + ``skin``.
     largest : float
         Diameter of the largest disk.
     """
@@ -46,14 +46,14 @@ class NeighbourList(NamedTuple):
 
 
 class CellStrains(NamedTuple):
-    """How the cell may deform, F = 1 + Σ e_s E_s, and against which pressure.
+    """The allowed deformations of the cell, F = 1 + Σ e_s E_s, and the target pressure.
 
     Attributes
     ----------
     directions : (S, 2, 2)
         E_s; none at constant volume.
     weight : float
-        w: z holds w e_s.
+        w: z has w e_s.
     pressure : float
         Target.
     area : float
@@ -67,7 +67,7 @@ class CellStrains(NamedTuple):
 
 
 class System(NamedTuple):
-    """What the enthalpy of z (2n + S,) depends on, and space to work in.
+    """Parameters of the enthalpy of z (2n + S,), and work arrays.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class System(NamedTuple):
         α of a power law, else 1.
     compiled : Compiled
     threads : bool
-        Whether chunks are shared among threads.
+        Whether chunks are distributed over threads.
     mapped : (n,) complex
         Overwritten with F·x.
     sums : (R + 1, 4)
@@ -121,7 +121,7 @@ class Step(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Most gradients of a call, longest time step, and longest displacement of a step."""
+    """Largest number of gradients of a call, largest time step, and largest displacement of a step."""
 
     gradients: int
     time: float
