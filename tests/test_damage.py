@@ -319,7 +319,7 @@ def test_flipped_bits_of_an_index(library, replaced, capfd):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("small = 3", "small is no table"),
+        ("small = 3", "small is not a table"),
         ("x", "not TOML"),
         ("\xff", "not TOML"),
         ("[small]\nparticles = true", "particles must be a number"),

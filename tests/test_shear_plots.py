@@ -490,7 +490,7 @@ def test_runs_alike_are_one_point(drawn):
 def test_flow_curves_refuse_what_is_not_steady():
     with pytest.raises(InputError, match="there are no runs"):
         shear.plot_flow({}, None)
-    with pytest.raises(InputError, match=r"a\.h5 is no steady run, but a ramp"):
+    with pytest.raises(InputError, match=r"a\.h5 is not a steady run, but a ramp"):
         shear.plot_flow({"a.h5": ramp()}, None)
 
 

@@ -1,6 +1,6 @@
-"""The figures of Baumgarten & Tighe 2017 and a few beside them: packings, results, exponents, picture.
+"""The figures of Baumgarten & Tighe 2017 and a few others: packings, results, exponents, picture.
 
-``FIGURES`` says what there is. The parameters of each stand in a file of its name, ``mpi_runs/bt3.toml``.
+``FIGURES`` lists them. The parameters of each are in a file of its name, ``mpi_runs/bt3.toml``.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from petscjam.figures.parameters import Parameters
 
 FIGURES = {
-    "bt1": "G' and G'' over fourteen decades, and how the disks move",
-    "bt2": "what the viscous forces resist, in a real packing",
+    "bt1": "G' and G'' over fourteen decades, and displacements of the disks",
+    "bt2": "velocities that the viscous forces resist, in a packing",
     "bt3": "contact damping: G* at several pressures, and its collapse",
-    "bt4": "undamped and weakly damped sliding (beta from 0), and disks that do not roll",
+    "bt4": "undamped and weakly damped sliding (beta from 0), and damping without rotations",
     "bt5": "quasi-static sliding and non-affine motion against pressure",
     "bt6": "Stokes drag: the collapse, and the viscosity of the fluid",
     "bt7": "correlations of non-affine displacements",
     "bt8": "finite-size scaling of the viscosity",
-    "modes": "low modes: floppiness, and how many make up the quasi-static response",
+    "modes": "low modes: floppiness, and number of modes of the quasi-static response",
     "drag": "nonlinear drag: equivalent damping of the whole packing and contact by contact",
 }
 
@@ -46,7 +46,7 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     name : str
         One of :data:`FIGURES`.
     file : Path, optional
-        TOML. Left out: the one that lies beside the module of the figure.
+        TOML. Default: the one in the folder of the figure's module.
 
     Raises
     ------
@@ -66,19 +66,19 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Request:
-    """Which figure is asked for, and from what.
+    """A figure, its preset, and the options of the command.
 
     Attributes
     ----------
     name, preset : str
     folder : Path
-        Packings lie in ``folder``/packings, for all figures.
+        Packings are in ``folder``/packings, for all figures.
     file : Path, optional
-        Of parameters; left out, that of the package.
+        File of parameters; default: that of the package.
     overwrite : bool
-        Make results anew; packings are kept all the same.
+        Compute results again; packings are kept.
     resume : bool
-        Keep what is there, and draw it.
+        Keep existing results, and draw them.
     existing : bool
         Prepare no further packings.
     """
@@ -93,13 +93,13 @@ class Request:
 
     @property
     def command(self) -> str:
-        """What the page says that it was made by."""
+        """The command, for the page."""
         command = f"petscjam figure {self.name} --preset {self.preset}"
         command += f" --parameters {self.file}" * (self.file is not None)
         return command + " --existing" * self.existing
 
     def parameters(self) -> Parameters:
-        """Return the parameters of the preset; of the same names and kinds as the shipped ones.
+        """Return the parameters of the preset, with the same names and kinds as those of the package.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class Request:
         if self.preset not in known:
             raise InputError(f"--preset: {self.preset!r} is unknown for {self.name}; known are {', '.join(known)}")
         if not isinstance(known[self.preset], dict):
-            raise InputError(f"{self.file}: {self.preset} is no table of parameters")
+            raise InputError(f"{self.file}: {self.preset} is not a table of parameters")
         parameters = Parameters(self.name, self.preset, known[self.preset])
         with naming(self.file) if self.file else nullcontext():
             parameters.check(presets(self.name)["small"])
@@ -122,7 +122,7 @@ class Request:
 def make_figure(
     request: Request, *, comm: Comm, progress: Report | None = None, log: Callable[[str], None] = print
 ) -> list[Finding]:
-    """Draw a figure: NAME.png, NAME.md with what was found, NAME*.h5 with the results. Collective.
+    """Make a figure: NAME.png, the page NAME.md, and NAME*.h5 with the results. Collective.
 
     Parameters
     ----------

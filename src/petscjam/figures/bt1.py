@@ -1,4 +1,4 @@
-"""BT Fig. 1: G* of packings close to jamming over fourteen decades, and how the disks move."""
+"""BT Fig. 1: G* of packings close to jamming over fourteen decades, and displacements of the disks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis = ModulusAnalysis(parameters.points("omega"), fields_at=parameters.points("fields"))

@@ -1,4 +1,4 @@
-"""What a figure of a paper is drawn from: packings and results that are made once and kept."""
+"""The data of a figure of a paper: packings and results, which are computed once and stored."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class FigureData:
     ----------
     parameters : Parameters
     folder : Path
-        Results lie there, packings in ``packings``.
+        Folder of the results, with packings in ``packings``.
     comm : communicator
     overwrite : bool
-        Make results anew; packings are kept all the same.
+        Compute results again; packings are kept.
     existing : bool
-        Prepare no packings: go on with those that are there.
+        Prepare no packings: use the existing ones.
     progress, log : callable
         As for :func:`petscjam.io.jobs.analyse`.
     page : Page
@@ -56,7 +56,7 @@ class FigureData:
         return self.folder / f"{self.parameters.figure}.png"
 
     def packings(self, particles: int, pressures: Iterable[float]) -> list[Path]:
-        """Return the packings of the seeds of the preset, prepared if need be, less those not proved minima.
+        """Return the packings of the seeds of the preset that are proved minima, prepared if necessary.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class FigureData:
         *,
         tag: str = "",
     ) -> dict[str, Any]:
-        """Return the results of an analysis of packings by name, made if need be; on rank 0 alone. Collective.
+        """Return the results of an analysis of packings by name, computed if necessary; on rank 0 only. Collective.
 
         Parameters
         ----------
@@ -109,12 +109,12 @@ class FigureData:
         laws, prestress : sequences
             As for :class:`petscjam.io.jobs.Ensemble`.
         tag : str
-            The results are kept in ``NAME-TAG.h5``.
+            The results are stored in ``NAME-TAG.h5``.
 
         Raises
         ------
         InputError
-            If the file holds results that were made with other settings.
+            If the file has results of other settings.
         SolverError
             If there is no result.
         """
@@ -131,14 +131,14 @@ class FigureData:
         return {name: r for name, r in results.items() if r.origin.checksum in wanted}
 
     def stable(self, results: Mapping[str, Any], what: str) -> dict[str, Any]:
-        """Return the stable results, and note how many were left out at each pressure. Collective.
+        """Return the stable results, and note the number of unstable ones at each pressure. Collective.
 
         Parameters
         ----------
         results : dict
             As :meth:`results` returns them.
         what : str
-            What the page calls them.
+            Their name on the page.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The page of a figure: numbers of the paper, as found here, and which packings they come from."""
+"""The page of a figure: results for the numbers of the paper, and the packings used."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petscjam.base.errors import InputError, SolverError
 
 @dataclass(frozen=True)
 class Finding:
-    """A number of the paper, as found here: its standard error, and what the paper says."""
+    """A number of the paper: our value, its standard error, and the value of the paper."""
 
     name: str
     value: float
@@ -27,13 +27,13 @@ class Finding:
 
 @dataclass
 class Page:
-    """What a figure found.
+    """The results of a figure.
 
     Attributes
     ----------
     findings : list of Finding
     tallies : list of str
-        How many packings there were of each kind, and how many were left out.
+        Numbers of packings of each kind, and of those left out.
     """
 
     findings: list[Finding] = field(default_factory=list)
@@ -69,7 +69,7 @@ class Page:
             As in :class:`Finding`.
         x : (m,)
         samples : m array_likes
-            The values of the packings at each x. An x with a single packing does not count.
+            The values of the packings at each x. An x with a single packing is left out.
         window : (float, float), optional
             Fit x between these.
         estimator : str
@@ -78,7 +78,7 @@ class Page:
         Returns
         -------
         PowerFit or None
-            None where no power law can be fitted: then a remark says why.
+            None if no power law can be fitted: then a remark has the reason.
         """
         several = [m for m, some in enumerate(samples) if len(np.atleast_1d(some)) > 1]
         try:
@@ -100,12 +100,12 @@ class Page:
         find : callable
             Calls :func:`petscjam.analysis.scaling.collapse`.
         paper : dict
-            What the paper says of each exponent.
+            The value of each exponent in the paper.
 
         Returns
         -------
         Collapse or None
-            None where nothing collapses: then a remark says why.
+            None if there is no collapse: then a remark has the reason.
         """
         try:
             found = find()
@@ -123,7 +123,7 @@ class Page:
         Parameters
         ----------
         command : str
-            What the figure was made by.
+            The command of the figure.
         parameters : dict
             Of the preset.
         """

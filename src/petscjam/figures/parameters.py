@@ -22,7 +22,7 @@ class Parameters:
     ----------
     figure, preset : str
     values : dict
-        As they stand in the file.
+        As in the file.
     """
 
     figure: str
@@ -35,7 +35,7 @@ class Parameters:
         Raises
         ------
         InputError
-            If the preset lacks it, or it is none.
+            If the preset lacks it, or it is neither.
         """
         value = self._given(name)
         if name == "seeds":
@@ -50,14 +50,14 @@ class Parameters:
         Raises
         ------
         InputError
-            If the preset lacks it, or it is no such list.
+            If the preset lacks it, or it is not such a list.
         """
         value = self._given(name)
         text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
         return np.asarray(self._parsed(points, name, text))
 
     def check(self, known: Mapping[str, Any]) -> None:
-        """Refuse parameters that are missing, not known, or of another kind than the ``known`` ones.
+        """Raise an error if parameters are missing, unknown, or of another kind than the ``known`` ones.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Figures: complex moduli, a packing and how it was prepared, a library of packings, and what else is found.
+"""Figures: complex moduli, a packing and its preparation, a library of packings, and other results.
 
 matplotlib is imported when the first figure is drawn.
 """
@@ -18,14 +18,14 @@ __all__ = ["plot_library", "plot_packing", "plot_results"]
 
 
 def plot_results(results: Mapping[str, Result], path: str | PathLike[str]) -> None:
-    """Draw results of one kind, as a file holds them.
+    """Draw results of one kind, as read from a file.
 
     Parameters
     ----------
     results : mapping
         From names.
     path : path
-        Its ending tells the format.
+        Its extension gives the format.
 
     Raises
     ------

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def density_figure(results: Mapping[str, DensityOfStates]) -> Figure:
-    """Draw every D(ω) ± its standard error; ω* is marked, and what the kernel cannot resolve is shaded."""
+    """Draw every D(ω) ± its standard error; ω* is marked, and frequencies below the resolution are shaded."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 

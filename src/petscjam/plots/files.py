@@ -1,4 +1,4 @@
-"""What ``info`` says and ``plot`` draws of each kind of file and folder: see :func:`recognise`."""
+"""The text of ``info`` and the figure of ``plot`` for each kind of file and folder: see :func:`recognise`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from petscjam.preparation.library import Library, read_library
 
 
 class Contents(NamedTuple):
-    """What a file is called, and functions that read it, describe it, and draw it into a file."""
+    """The name of a kind of file, and functions that read it, describe it, and draw it into a file."""
 
     name: str
     read: Callable[..., Any]

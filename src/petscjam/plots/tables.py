@@ -113,7 +113,7 @@ def describe_library(library: Library) -> str:
 def describe_run(run: Run) -> str:
     """Return a few lines on a sheared run: settings, means with their errors, contacts, energy budget.
 
-    What the run lacks observables for is left out.
+    Lines whose observables the run lacks are left out.
     """
     s = run.settings
     lines = [
@@ -139,14 +139,14 @@ def _lifetimes(run: Run) -> list[str]:
         return []
     each, often = duration / broken, made / (elapsed * particles)
     return [
-        f"contacts last {each:.4g} and {often:.4g} a disk are made per tau_e: 2 × both = {2 * each * often:.4g} "
-        "(Z, but for those that outlast the run)"
+        f"contacts last {each:.4g} tau_e, {often:.4g} per disk are made in a tau_e: 2 × both = {2 * each * often:.4g} "
+        "(Z, except for contacts longer than the run)"
     ]
 
 
 def _budget(run: Run) -> list[str]:
     heat, missed = run.rows["heat"].sum(), run.rows["imbalance"].sum()
-    return [f"energy budget: {heat:.4g} dissipated, {missed:.1e} unaccounted for"]
+    return [f"energy budget: {heat:.4g} dissipated, error {missed:.1e}"]
 
 
 def _parts(run: Run) -> list[str]:
@@ -154,11 +154,11 @@ def _parts(run: Run) -> list[str]:
     if parts <= 1:
         return []
     more = run.rows["steps"].sum() / (run.time[-1] - s.time0) * s.dt
-    return [f"time steps divided into up to {parts:.0f} parts where contacts demand it: {more:.4g} times as many"]
+    return [f"time steps divided into up to {parts:.0f} parts where contacts require it: {more:.4g} times as many"]
 
 
 def describe_runs(runs: Mapping[str, Run]) -> str:
-    """Return a table of sheared runs, a line each."""
+    """Return a table of sheared runs, one line for each."""
     width = max(len(name) for name in runs)
     columns = ["P elastic", "Σ elastic", "μ", "Z", "Rv"]
     head = " ".join([f"{'run':{width}}", f"{'strain':>8}", *(f"{name:>20}" for name in columns)])
@@ -206,7 +206,7 @@ def table(results: Mapping[str, Result]) -> str:
 
 
 def moduli_table(results: Mapping[str, Any]) -> str:
-    """Return a table of ``results`` for each law: limits, worst error, and whether the packing is stable."""
+    """Return a table of ``results`` for each law: limits, largest error, and whether the packing is stable."""
     blocks: dict[tuple[str, DampingLaw, bool, bool], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
         blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None), {})[name] = g

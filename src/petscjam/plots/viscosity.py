@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def viscosity_figure(results: Mapping[str, Viscosity]) -> Figure:
-    """Draw the mean of η0 over stable packings (over all where none is), with its standard error."""
+    """Draw the mean of η0 over stable packings (over all if none is stable), with its standard error."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")

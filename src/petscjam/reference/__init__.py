@@ -1,1 +1,1 @@
-"""Slow, dense, loop-written twins of the fast code, for tests and documentation."""
+"""Slow twins of the fast code, with dense matrices and plain loops, for tests and documentation."""
