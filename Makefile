@@ -25,19 +25,19 @@ $(STAMP): $(SETUP)
 	tools/setup.sh docs
 	@touch $@
 
-demo: $(READY) ## prepare 1024 disks, sweep G*(ω) on two ranks, draw it (folder demo/)
+demo: $(READY) ## prepare 1024 disks, compute G*(ω) on two ranks, draw it (folder demo/)
 	mpi_runs/demo.sh
 
-test: $(READY) ## all tests but the slow ones, on 1, 2 and 3 ranks
+test: $(READY) ## all tests except the slow ones, on 1, 2 and 3 ranks
 	tools/test.sh $(PYTHON) 'not slow'
 
-test-fast: $(READY) ## the serial ones of these only
+test-fast: $(READY) ## only the serial ones of these
 	RANKS=1 tools/test.sh $(PYTHON) 'not slow'
 
 test-slow: $(READY) ## the slow tests
 	LIMIT=14400 tools/test.sh $(PYTHON) slow
 
-coverage: $(READY) ## which lines the tests run, as a table and in docs/_build/coverage (twice the time of make test)
+coverage: $(READY) ## coverage of the tests, as a table and in docs/_build/coverage (twice the time of make test)
 	rm -f .coverage .coverage.*
 	COVERAGE=1 tools/test.sh $(PYTHON) 'not slow'
 	$(PYTHON) -m coverage combine -q
@@ -53,7 +53,7 @@ lint: $(READY) ## ruff, ruff format, mypy
 	@if $(PYTHON) -c 'import numpy; raise SystemExit("2.0" <= numpy.__version__[:3] < "2.5")'; then echo mypy; $(PYTHON) -m mypy; \
 	    else echo "mypy: left out, the types of NumPy 2.0 to 2.4 (Debian 13's) are too vague"; fi
 
-format: $(READY) ## let ruff repair and format what it can
+format: $(READY) ## repair and format with ruff
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
@@ -66,7 +66,7 @@ figures: $(READY) ## every figure of the paper with 4096 disks, and its page in 
 	mpi_runs/figures.sh medium
 	$(PYTHON) tools/paper-pages.py runs/medium
 
-bench: $(READY) ## spectrum and direct sweep against bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
+bench: $(READY) ## spectrum and direct solves compared with bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
 
 bench-bounds: $(READY) ## factorisations, error bounds and true errors of spectra of 52 packings (five minutes)
@@ -75,13 +75,13 @@ bench-bounds: $(READY) ## factorisations, error bounds and true errors of spectr
 bench-scaling: $(READY) ## strong and weak scaling of spectra on 1 and 2 ranks, with a figure (five minutes)
 	. tools/mpi-env.sh && $(PYTHON) benchmarks/scaling.py -o docs/figures/scaling.png
 
-bench-lammps: $(READY) ## minimisation against LAMMPS, in an environment of its own (ten minutes)
+bench-lammps: $(READY) ## minimisation compared with LAMMPS, in a separate environment (ten minutes)
 	$(PYTHON) benchmarks/minimise_lammps.py
 
-bench-shear: $(READY) ## steps a second of sheared disks against LAMMPS (ten minutes); steady states, too
+bench-shear: $(READY) ## steps per second of sheared disks compared with LAMMPS (ten minutes), and steady states
 	$(PYTHON) benchmarks/shear_lammps.py
 	$(PYTHON) benchmarks/shear_lammps.py --physics
 
-clean: ## remove what was built or computed, but not .venv
+clean: ## remove all built and computed files, but not .venv
 	rm -rf docs/_build docs/_generated build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests examples -name __pycache__ -prune -exec rm -rf {} +

@@ -1,4 +1,4 @@
-"""G*(ω) of a packing just above jamming: prepare, solve, look at the limits.
+"""G*(ω) of a packing just above jamming: prepare, solve, print the limits.
 
 mpirun -n 2 python -m mpi4py examples/01_modulus.py    (-m mpi4py: an error on one rank ends both)
 """

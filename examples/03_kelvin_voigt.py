@@ -1,6 +1,6 @@
-"""Without tangential damping the critical regime is gone: G* = G0(1 + iωτ1), Kelvin–Voigt (BT eq. 18).
+"""Without tangential damping there is no critical regime: G* = G0(1 + iωτ1), Kelvin–Voigt (BT eq. 18).
 
-Exact without pre-stress, for every packing; with it, nearly so (BT Fig. 4a).
+Exact without pre-stress, for every packing; with pre-stress approximate (BT Fig. 4a).
 
 mpirun -n 2 python -m mpi4py examples/03_kelvin_voigt.py    (-m mpi4py: an error on one rank ends both)
 """

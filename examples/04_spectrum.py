@@ -1,4 +1,4 @@
-"""The whole spectrum from a few factorisations: G* anywhere, a bound on its error, and what follows in time.
+"""The whole spectrum from a few factorisations: G* at any frequency, a bound on its error, and functions of time.
 
 mpirun -n 2 python -m mpi4py examples/04_spectrum.py
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The spectrum and the direct sweep against bare MUMPS and against SciPy. Called by make bench.
+# The spectrum and direct solves compared with bare MUMPS and with SciPy. Called by make bench.
 # DISKS=4096 FREQUENCIES=21 make bench for a smaller one; the default takes about five minutes.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# The main job in small: one packing, G*(ω) over ten decades on two ranks, a figure. Called by make demo.
+# A small example: one packing, G*(ω) over ten decades on two ranks, a figure. Called by make demo.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tools/mpi-env.sh
 mkdir -p demo
 set -x
 
-# --resume leaves what is there already alone.
+# --resume keeps existing results.
 petscjam prepare --particles 1024 --pressure 1e-3 --seed 1 --resume -o demo/packing.h5
 mpirun -n 2 petscjam moduli demo/packing.h5 --omega 1e-8:1e2:61 --damping contact --beta 1 \
     --fields 1e-8,1e-3,1e2 \

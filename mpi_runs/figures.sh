@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# All figures of Baumgarten & Tighe 2017, and two beside them, in runs/PRESET: bash mpi_runs/figures.sh [small|medium|paper]
-# Started again, it goes on where it stopped. Options of petscjam figure may follow, as --existing. LAUNCH and
-# PYTHON may be set from outside. The parameters stand in mpi_runs/bt1.toml … bt8.toml, modes.toml, drag.toml.
+# All figures of Baumgarten & Tighe 2017, and two more, in runs/PRESET: bash mpi_runs/figures.sh [small|medium|paper]
+# A second start continues where the first stopped. Options of petscjam figure may follow, as --existing. LAUNCH and
+# PYTHON may be set in the environment. The parameters are in mpi_runs/bt1.toml … bt8.toml, modes.toml, drag.toml.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tools/mpi-env.sh

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # A library of packings, its table and its figure. Edit mpi_runs/library.toml, then: bash mpi_runs/library.sh
-# Started again, it goes on where it stopped. LAUNCH, PYTHON and FOLDER may be set from outside; options
+# A second start continues where the first stopped. LAUNCH, PYTHON and FOLDER may be set in the environment; options
 # of petscjam prepare may be given, too: bash mpi_runs/library.sh --seeds 1:20
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# A sweep of G*(ω) over an ensemble. Edit mpi_runs/sweep.conf, then: bash mpi_runs/sweep.sh
-# Started again, it goes on where it stopped. LAUNCH and PYTHON may be set from outside (sweep.slurm does).
+# G*(ω) of an ensemble at many frequencies. Edit mpi_runs/sweep.conf, then: bash mpi_runs/sweep.sh
+# A second start continues where the first stopped. LAUNCH and PYTHON may be set in the environment (sweep.slurm does).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . mpi_runs/sweep.conf
