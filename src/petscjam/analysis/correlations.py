@@ -1,9 +1,10 @@
-"""How far non-affine displacements are correlated along the shear, at any frequency (BT Fig. 7).
+"""Correlations of non-affine displacements along x, at any frequency (BT Fig. 7).
 
     C(δ) = ⟨u_y(x) u_y(x + δ)⟩ / ⟨u_y²⟩
 
 over pairs of backbone disks in the same lane, a narrow strip along x. u_y is that of Re Q* at peak stress and
-of Im Q* at zero stress, Q* = (δσ/G*)(q, 1); C does not depend on δσ, and simple shear moves nothing along y.
+of Im Q* at zero stress, Q* = (δσ/G*)(q, 1); C does not depend on δσ, and the affine motion of simple shear has no
+y component.
 
 Axes: i disk, f field, w frequency, d distance, l lane.
 """
@@ -32,11 +33,11 @@ from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw
 
 FINEST = 1e-3  # of lanes and bins, mean diameters
-ALONG = 1e-9  # how far a lattice vector may point out of x, relative to its length
+ALONG = 1e-9  # largest y component of a lattice vector along x, relative to its length
 
 
 class LaneCorrelation(NamedTuple):
-    """Distances δ (D,) from 0 to L/2, C (…, D), NaN where there is no pair, and the number of pairs (D,)."""
+    """Distances δ (D,) from 0 to L/2, C (…, D), NaN without pairs, and the number of pairs (D,)."""
 
     delta: Array
     C: Array
@@ -65,17 +66,17 @@ class Correlations(Judged):
     delta : (D,)
         Distances along x, multiples of the bin from 0 to half the cell.
     real, imaginary : (W, D)
-        C at peak stress, Re Q*, and at zero stress, Im Q*; NaN where there is no pair.
+        C at peak stress, Re Q*, and at zero stress, Im Q*; NaN without pairs.
     pairs : (D,)
-        Number of pairs at each distance; a disk is no pair with itself.
+        Number of pairs at each distance; pairs of a disk with itself do not count.
     G : (W,) complex
         G*(ω) of the reduced model.
     errors : (W,)
-        Bound on its relative error; that of the displacements is of the size of the square root.
+        Bound on its relative error; that of the displacements is about its square root.
     L : float
         Length of the cell along x.
     width, bin : float
-        Largest height of a lane, and of a step in δ.
+        Largest height of a lane, and largest bin in δ.
     G0 : float
         Modulus at ω → 0.
     """
@@ -96,7 +97,7 @@ class Correlations(Judged):
     figure: ClassVar[str] = "petscjam.plots.correlations:correlations_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         low, high = (f"{self.length[k] / self.L:.4g}" for k in (np.argmin(self.omega), np.argmax(self.omega)))
         return {
             "law": str(self.damping),
@@ -109,7 +110,7 @@ class Correlations(Judged):
 
     @property
     def length(self) -> Array:
-        """Correlation length l(ω), (W,): where C at peak stress crosses zero; NaN if it does not."""
+        """Correlation length l(ω), (W,): zero of C at peak stress; NaN if there is none."""
         return np.array([zero_crossing(self.delta, C) for C in self.real])
 
 
@@ -131,19 +132,19 @@ def correlations(
     Parameters
     ----------
     packing : Packing
-        One of its two lattice vectors lies along x.
+        One of its two lattice vectors is along x.
     omegas : array_like
         Angular frequencies > 0, 1/τ1.
     damping : DampingLaw
-        Left out: :class:`ContactDamping` with β = 1 and rotations.
+        Default: :class:`ContactDamping` with β = 1 and rotations.
     prestress : bool
         Keep the second term of BT eq. 4.
     comm : MPI communicator
-        Left out: COMM_SELF. The result is the same on every rank.
+        Default: COMM_SELF. The result is the same on every rank.
     width, bin : float
-        Largest height of a lane, and largest step in δ. Left out: the mean diameter d, and d/2.
+        Largest height of a lane, and largest bin in δ. Default: the mean diameter d, and d/2.
     rtol : float
-        Of |ΔG*|/|G*|; displacements are known to about √rtol.
+        Of |ΔG*|/|G*|; the relative error of displacements is about √rtol.
     name : str
         Stored with the result.
     progress : callable
@@ -152,7 +153,7 @@ def correlations(
     Raises
     ------
     InputError
-        On a frequency, width or bin that makes no sense, or a cell with no lattice vector along x.
+        On an invalid frequency, width or bin, or a cell without a lattice vector along x.
     SolverError
         If a solve fails.
     """
@@ -160,7 +161,7 @@ def correlations(
     agree(comm, packing, omegas, damping, prestress, width, bin, rtol)
     omega = frequencies(omegas)
     width, bin = _or_default(packing, width, bin)
-    _Lanes.of(packing, width, bin).require_memory(comm)  # before anything is solved
+    _Lanes.of(packing, width, bin).require_memory(comm)  # before the solves
     model = spectrum(
         packing,
         (omega.min(), omega.max()),
@@ -177,7 +178,7 @@ def correlations(
 def correlations_of(
     model: Spectrum, omegas: ArrayLike, *, width: float | None = None, bin: float | None = None
 ) -> Correlations:
-    """Return C(δ) as :func:`correlations` does, from a model that was kept with its motions: no solve.
+    """Return C(δ) as :func:`correlations` does, from a model with its motions, without a solve.
 
     Parameters
     ----------
@@ -223,22 +224,22 @@ def correlations_of(
 def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: float) -> LaneCorrelation:
     """Return ⟨u u′⟩/⟨u²⟩ over pairs in the same lane against their distance δ along x, periodic up to L/2.
 
-    Lanes and bins tile the cell evenly. Positions along x are rounded to the bins, and all pairs of a lane
-    are summed by FFT; a disk is no pair with itself. Nothing is subtracted from ``values``.
+    A whole number of lanes and bins fills the cell. Positions along x are rounded to the bins, and all pairs of a
+    lane are summed by FFT, without pairs of a disk with itself. No mean is subtracted from ``values``.
 
     Parameters
     ----------
     packing : Packing
-        One of its two lattice vectors lies along x.
+        One of its two lattice vectors is along x.
     values : array_like, shape (…, N)
-        Fields u; a disk that is NaN in any of them is left out of all.
+        Fields u; a disk with NaN in one of them is left out of all.
     width, bin : float
-        Largest height of a lane, and largest step in δ.
+        Largest height of a lane, and largest bin in δ.
 
     Raises
     ------
     InputError
-        On values of a wrong shape, a width or bin that makes no sense, no lattice vector along x.
+        On values of a wrong shape, an invalid width or bin, no lattice vector along x.
     """
     u = np.asarray(values, dtype=float)
     if u.ndim == 0 or u.shape[-1] != len(packing):
@@ -256,7 +257,7 @@ def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: 
         power = (abs(np.fft.rfft(line, axis=1)) ** 2).sum(0)
         total = np.fft.irfft(power, shape[1])[: shape[1] // 2 + 1]
         total[0] -= (u**2).sum()
-        double = 2 * np.arange(len(total)) % shape[1] == 0  # pairs that are met from either side
+        double = 2 * np.arange(len(total)) % shape[1] == 0  # pairs that are counted twice
         return np.where(double, total / 2, total)
 
     pairs = np.rint(summed(np.ones(counted.sum()))).astype(np.int64)
@@ -269,8 +270,7 @@ def lane_correlation(packing: Packing, values: ArrayLike, *, width: float, bin: 
 def zero_crossing(delta: ArrayLike, C: ArrayLike) -> float:
     """Return the first δ > 0 where C is zero, by linear interpolation; NaN if there is none.
 
-    It starts from C(0) = 1. Bins without pairs, and the one at δ = 0, are passed over: pairs there are a
-    lane apart.
+    C(0) = 1. Bins without pairs are left out, and the bin at δ = 0, too, because its pairs are separated along y.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def minimum(delta: ArrayLike, C: ArrayLike) -> tuple[float, float]:
 def correlation_length(
     results: Mapping[str, Correlations], part: str = "real", *, unstable: bool = False
 ) -> CorrelationLength:
-    """Return where the mean of C over several packings crosses zero, with its jackknife error.
+    """Return the zero of the mean of C over several packings, with its jackknife error.
 
     Their cells may differ a little, so C is averaged at the same δ/L, and lengths are those of the mean cell.
     The error is NaN for a single packing.
@@ -335,7 +335,7 @@ def correlation_length(
 
 
 def _at(delta: Array, known: Array, C: Array) -> Array:
-    """Return C at ``delta`` by linear interpolation between bins that hold pairs."""
+    """Return C at ``delta`` by linear interpolation between bins with pairs."""
     there = np.isfinite(C)
     return np.interp(delta, known[there], C[there])
 
@@ -346,7 +346,7 @@ def _or_default(packing: Packing, width: float | None, bin: float | None) -> tup
 
 
 class _Lanes(NamedTuple):
-    """A grid of lanes and bins over the cell, and where each disk (N,) is on it."""
+    """A grid of lanes and bins over the cell, and the place of each disk (N,) in it."""
 
     L: float
     shape: tuple[int, int]
@@ -369,7 +369,7 @@ class _Lanes(NamedTuple):
         return cls(L, (lanes, bins), lane, np.floor(along / L * bins).astype(np.int64) % bins)
 
     def require_memory(self, comm: Comm | None = None) -> None:
-        """Refuse more lanes and bins than there is memory for."""
+        """Raise an error if there is not enough memory for the lanes and bins."""
         lanes, bins = self.shape
         require(64.0 * lanes * bins, f"correlations: {lanes} lanes of {bins} bins", comm)
 

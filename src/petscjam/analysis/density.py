@@ -1,7 +1,7 @@
 """Density of states D(ω), ω = √λ, of K_uu with unit masses, by the kernel polynomial method.
 
-A. Weiße, G. Wellein, A. Alvermann, H. Fehske, Rev. Mod. Phys. 78, 275 (2006). With λ = Ω² sin²(θ/2) a mode
-of frequency ω lies at the angle θ = 2 arcsin(ω/Ω), and D is a Fourier series in θ (docs/howto/density.md).
+A. Weiße, G. Wellein, A. Alvermann, H. Fehske, Rev. Mod. Phys. 78, 275 (2006). With λ = Ω² sin²(θ/2) a mode of
+frequency ω is at the angle θ = 2 arcsin(ω/Ω), and D is a Fourier series in θ (docs/howto/density.md).
 
 Axes: w frequency, v random vector, m moment, c contact, i disk, x Cartesian.
 """
@@ -35,16 +35,16 @@ from petscjam.rows.kinematics import displacements
 if TYPE_CHECKING:
     from petsc4py.PETSc import Mat
 
-ROUNDING = 1e-9  # by how much |⟨v, T_m v⟩| may exceed 1
-WEIGHTINGS = 20  # steps that tighten the bound on λ
+ROUNDING = 1e-9  # tolerance of |⟨v, T_m v⟩| ≤ 1
+WEIGHTINGS = 20  # iterations that improve the bound on λ
 TABLE = 1 << 22  # cosines in memory at once
-WIDTHS = 4  # of the kernel that fit below ω where the onset of the plateau is looked for
+WIDTHS = 4  # smallest ω/σ in the search for the onset of the plateau
 
 
 class Plateau(NamedTuple):
-    """Height of D on its plateau with its standard error, and the frequency ω* where it begins.
+    """Height of D on its plateau with its standard error, and the frequency ω* of the onset.
 
-    ``onset`` is NaN where it would lie below four times the resolution at ω → 0.
+    ``onset`` is NaN if it is below four times the resolution at ω → 0.
     """
 
     height: float
@@ -61,21 +61,21 @@ class DensityOfStates(Result):
     omega : (W,)
         Frequencies, ascending.
     density : (W,)
-        D, the share of modes per frequency, smoothed by the kernel: its integral over 0 … Ω is 1.
+        D, the fraction of modes per frequency, smoothed by the kernel: its integral over 0 … Ω is 1.
     error : (W,)
         Standard error of D over the random vectors.
     cumulative : (W,)
-        The share of modes below ω, the integral of D.
+        The fraction of modes below ω, the integral of D.
     resolution : (W,)
         Standard deviation of the kernel, in ω.
     moments : (V, M)
         ⟨v, T_m(1 − 2K/Ω²) v⟩ of each vector v, |v| = 1.
     edge : float
-        Ω: no mode lies above.
+        Ω, an upper bound on the frequencies of all modes.
     modes : int
         2n − 2 for n disks in the backbone.
     negative_modes : int or None
-        0, or None where a note says why they could not be counted.
+        0, or None if they could not be counted, with the reason in a note.
     """
 
     omega: Array = field(metadata=stored("(stress/mass)^1/2", "W", finite=True))
@@ -91,7 +91,7 @@ class DensityOfStates(Result):
     figure: ClassVar[str] = "petscjam.plots.density:density_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         found = plateau(self)
         return {
             "moments": f"{self.moments.shape[1]}",
@@ -108,7 +108,7 @@ class DensityOfStates(Result):
         Raises
         ------
         InputError
-            On a frequency outside.
+            On a frequency outside this range.
         """
         return replace(self, **series(self.moments, self.edge, np.atleast_1d(np.asarray(omega, dtype=float))))
 
@@ -124,7 +124,7 @@ def density_of_states(
     name: str = "packing",
     progress: Report | None = None,
 ) -> DensityOfStates:
-    """Estimate D(ω) of K_uu on the backbone, translations left out; K is only ever multiplied.
+    """Estimate D(ω) of K_uu on the backbone, without translations, by products of K with vectors.
 
     Parameters
     ----------
@@ -139,14 +139,14 @@ def density_of_states(
     Returns
     -------
     DensityOfStates
-        At 2M frequencies, evenly in θ, so that no peak is missed.
+        At 2M frequencies, evenly in θ, so that each peak is resolved.
 
     Raises
     ------
     InputError
         If K has negative modes, with fewer than two moments or vectors, or without a connected backbone.
     SolverError
-        If an eigenvalue turns out to lie outside 0 … Ω².
+        If an eigenvalue is outside 0 … Ω².
     """
     comm = resolve(comm)
     agree(comm, packing, moments, vectors, seed, prestress)
@@ -163,14 +163,14 @@ def density_of_states(
     backbone = problem.backbone.backbone
     modes = int(2 * backbone.sum() - 2)
     if modes == 0:
-        raise InputError("packing: one disk has no modes but translations")
+        raise InputError("packing: one disk has only translations as modes")
     bound = highest(problem.backbone)
     dofs = problem.number(displacements(backbone))
     found = np.empty((vectors + vectors % 2, moments))
     with assembled(problem.K, problem.B, dofs, comm) as pencil:
         twice_X = pencil.combine(-4 / bound, 0)
         twice_X.shift(2)
-        for v in range(0, vectors, 2):  # K is real: two real vectors make a complex one
+        for v in range(0, vectors, 2):  # K is real: two real vectors are one complex vector
             check(comm)
             pair = start_vector(seed, v, backbone) + 1j * start_vector(seed, v + 1, backbone)
             found[v : v + 2] = chebyshev(twice_X, dofs.scatter(pair, comm.rank), moments, comm)
@@ -190,11 +190,11 @@ def density_of_states(
 
 
 def highest(network: ContactNetwork) -> float:
-    """Return a bound on the eigenvalues of K, a few per cent above the highest.
+    """Return an upper bound on the eigenvalues of K, a few per cent above the highest.
 
-    A contact holds k(n·u_j − n·u_i)² ≤ k(1 + x_j/x_i)(n·u_i)² + k(1 + x_i/x_j)(n·u_j)² with any x > 0, and
-    pre-stress only lowers it. So no eigenvalue of K exceeds the highest of the blocks Σ_c k(1 + x_j/x_i) nnᵀ
-    of the disks, 2×2; x follows the blocks until they are nearly even.
+    For each contact k(n·u_j − n·u_i)² ≤ k(1 + x_j/x_i)(n·u_i)² + k(1 + x_i/x_j)(n·u_j)² with any x > 0, and
+    pre-stress only reduces it. So no eigenvalue of K exceeds the largest eigenvalue of the 2×2 blocks Σ_c k(1 +
+    x_j/x_i) nnᵀ of the disks; x is iterated until the blocks are nearly equal.
     """
     i, j = np.concatenate([network.i, network.j]), np.concatenate([network.j, network.i])
     k, (nx, ny) = np.tile(network.stiffness, 2), np.tile(network.normal, (2, 1)).T
@@ -209,9 +209,9 @@ def highest(network: ContactNetwork) -> float:
 
 
 def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
-    """Return random ±1 on the backbone less its mean, of length 1, as a field (N, 3).
+    """Return random ±1 on the backbone, minus the mean, normalised, as a field (N, 3).
 
-    Where few disks all drew the same, a translation, they draw again.
+    If all disks have the same value, a translation, the vector is drawn again.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def start_vector(seed: int, v: int, backbone: NDArray[np.bool_]) -> Array:
 
 
 def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
-    """Return ``u`` on the backbone without translations, of length 1, as a field (N, 3).
+    """Return ``u`` on the backbone without translations, normalised, as a field (N, 3).
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def projected(u: Array, backbone: NDArray[np.bool_]) -> Array:
 def chebyshev(twice_X: Mat, start: NDArray[np.complex128], count: int, comm: Comm) -> Array:
     """Return the moments ⟨v, T_m(X) v⟩, (2, count), of the real and the imaginary part of ``start``.
 
-    With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The ranks' shares
-    are added up once, at the end.
+    With t_n = T_n(X)v the moments 2n and 2n − 1 come from ⟨t_n, t_n⟩ and ⟨t_n, t_{n−1}⟩. The sums over ranks are
+    taken once, at the end.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def chebyshev(twice_X: Mat, start: NDArray[np.complex128], count: int, comm: Com
     Raises
     ------
     SolverError
-        If X has an eigenvalue outside −1 … 1: the moments then grow.
+        If X has an eigenvalue outside −1 … 1, because the moments then grow.
     """
     before, now = twice_X.createVecs()
     after = now.duplicate()
@@ -360,10 +360,10 @@ def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
 
 
 def plateau(density: DensityOfStates) -> Plateau:
-    """Return the height of the plateau of D, and the frequency ω* below which D leaves it.
+    """Return the height of the plateau of D, and the frequency ω* of its onset.
 
-    The height h is the mean of D over Ω/6 ≤ ω ≤ Ω/3. ω* is the highest frequency below Ω/6 where D is h/2, D
-    taken with so few moments that the kernel has the width ω/4 there: else it would show single modes.
+    The height h is the mean of D over Ω/6 ≤ ω ≤ Ω/3. ω* is the highest frequency below Ω/6 where D is h/2, D with
+    a number of moments for which the kernel has the width ω/4 there; with more moments D shows single modes.
     """
     moments, edge = density.moments, density.edge
     low, high = edge / 6, edge / 3
@@ -391,7 +391,7 @@ def _options(parser: ArgumentParser) -> None:
     )
     count, seed = Within(integer, ranges.VECTORS), Within(integer, ranges.SEED)
     parser.add_argument("--vectors", type=count, default=16, metavar="V", help="random vectors (default 16)")
-    parser.add_argument("--seed", type=seed, default=1, help="of the random vectors (default 1)")
+    parser.add_argument("--seed", type=seed, default=1, help="seed of the random vectors (default 1)")
 
 
 VERB = Verb(density_of_states, "D(omega) with its error and resolution", _options)

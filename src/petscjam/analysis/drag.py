@@ -1,8 +1,8 @@
 """Nonlinear drag by the method of equivalent damping (BT eqs. 9 and 23–29), one time for all contacts.
 
-The force on a contact is −k τ1^α ρ0^(1−α) |v|^(α−1) v, v its relative velocity where the disks touch. A
-linear force −kτv stands for it, τ chosen so that a cycle along the same path dissipates as much. Here it is
-the τα(ω, δσ) of a single spring under a force of amplitude δσ; in :mod:`petscjam.analysis.contact_drag` each
+The force on a contact is −k τ1^α ρ0^(1−α) |v|^(α−1) v, v the relative velocity at the contact point. It is
+replaced by a linear force −kτv, with τ such that a cycle along the same path dissipates the same energy. Here τ
+is τα(ω, δσ) of a single spring under a force of amplitude δσ; in :mod:`petscjam.analysis.contact_drag` each
 contact has its own. docs/howto/drag.md derives both. ρ0 is the mean diameter d, and k = τ1 = 1.
 
 Axes: w frequency, c contact of the backbone.
@@ -30,7 +30,7 @@ from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import EDGE, Spectrum
 from petscjam.rows.damping import ContactDamping
 
-LARGEST_LOG = 100 * np.log(10)  # |ln τ|: beyond, squares leave the floating-point numbers
+LARGEST_LOG = 100 * np.log(10)  # largest |ln τ|, so that squares do not overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +50,16 @@ class NonlinearModulus(Judged):
     form : str
         ``uniform`` or ``per contact``.
     tau : (W,)
-        τα; per contact the mean that dissipates as much, Σ τ_c|Δu|²/Σ|Δu|².
+        τα; per contact the mean with the same dissipation, Σ τ_c|Δu|²/Σ|Δu|².
     spread : (W,)
-        Standard deviation of ln τ_c between contacts, weighted by what each dissipates.
+        Standard deviation of ln τ_c over contacts, weighted by the dissipation of each.
     iterations : (W,) int
-        Solves.
+        Number of solves.
     converged : (W,) bool
     changes : (W,)
         |ΔG*|/|G*|, to first order, that one more iteration would make.
     tau_changes : (W,)
-        rms over contacts of ln τ_c that the motion calls for, less ln τ_c that made it.
+        rms over contacts of ln τ_c of the motion minus ln τ_c of the solve.
     residuals : (W,)
         ‖(K + iωB)q − f‖/‖f‖ of the last solve, or of the reduced model.
     errors : (W,)
@@ -67,7 +67,7 @@ class NonlinearModulus(Judged):
     contact_tau : (W, C)
         τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none.
     G0 : float or None
-        The smallest G′, that at ω → 0 included where it is known; 0 within rounding. None in older files.
+        The smallest G′, including that at ω → 0 if known; 0 within rounding. None in older files.
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
@@ -90,7 +90,7 @@ class NonlinearModulus(Judged):
     figure: ClassVar[str] = "petscjam.plots.drag:drag_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         return {
             "form": self.form,
             "alpha": self.alpha,
@@ -102,9 +102,9 @@ class NonlinearModulus(Judged):
         }
 
     def at(self, stress: float) -> NonlinearModulus:
-        """Return the same at another amplitude, exactly and without a solve, at other frequencies.
+        """Return the result at another amplitude, exact and without a solve, at other frequencies.
 
-        G* depends on ω^α δσ^(α−1) alone, and so does ωτ: ω goes with δσ^((1−α)/α).
+        G* and ωτ depend only on ω^α δσ^(α−1): ω is proportional to δσ^((1−α)/α).
         """
         check_amplitude(stress, self.alpha)
         faster = (stress / self.stress) ** ((1 - self.alpha) / self.alpha)
@@ -126,7 +126,7 @@ def equivalent_time(omegas: ArrayLike, stress: float, alpha: float) -> Array:
     """Return τα (W,) of a spring k and a dashpot under a force δσρ0 cos ωt (BT eqs. 24 and 25, corrected).
 
     τ = C(α)(ωu₀)^(α−1), u₀ = δσ/√(1 + (ωτ)²). As h(ln τ) = 0, h has a slope between 1 and α: for any α > 0
-    there is one root, between y₀, what it is for ωτ ≪ 1, and y₀ − h(y₀)/min(1, α).
+    there is one root, between y₀, its value for ωτ ≪ 1, and y₀ − h(y₀)/min(1, α).
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def equivalent_drag(
     Parameters
     ----------
     source : Packing or Spectrum
-        Of a packing, a reduced model is made where it is needed, from min ωτα to max ωτα.
+        For a packing, a reduced model is made from min ωτα to max ωτα.
     omegas : (W,) array_like
         Angular frequencies in 1/τ1, all > 0.
     stress : float
@@ -183,7 +183,7 @@ def equivalent_drag(
     Raises
     ------
     InputError
-        As :func:`equivalent_time`; if the model does not reach, or its damping is not that of contacts.
+        As :func:`equivalent_time`; if ωτα is outside the span of the model, or its damping is not contact damping.
     SolverError
         As :func:`petscjam.spectrum`.
     """
@@ -204,7 +204,7 @@ def equivalent_drag(
         raise InputError(f"damping: {model.damping} does not act on contacts")
     if not (model.span[0] * (1 - EDGE) <= low and high <= model.span[1] * (1 + EDGE)):
         raise InputError(
-            f"spectrum: ωτα goes from {low:.3g} to {high:.3g}, the model holds from {model.span[0]:.3g} "
+            f"spectrum: ωτα goes from {low:.3g} to {high:.3g}, the span of the model from {model.span[0]:.3g} "
             f"to {model.span[1]:.3g}"
         )
     zeros, count = np.zeros(len(omega)), len(omega)
@@ -236,12 +236,12 @@ def _unit(model: Spectrum) -> float:
     """Return the stiffness k of the packing's potential (:meth:`petscjam.geometry.potential.Potential.unit`)."""
     law, diameter = potential(model.origin.potential), model.origin.diameter
     if diameter is None and law.unit(2.0) != 1:
-        raise InputError(f"spectrum: an older file does not tell the diameters of {law.name} disks; make it again")
+        raise InputError(f"spectrum: an older file lacks the diameters of {law.name} disks; make it again")
     return law.unit(diameter or 1.0)
 
 
 def check_amplitude(stress: float, alpha: float) -> None:
-    """Refuse what is not in its range.
+    """Raise an error if a value is out of its range.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def _options(parser: ArgumentParser) -> None:
     parser.add_argument("--stress", type=stress, required=True, metavar="X", help="amplitude of the stress, in k")
     text = "exponent of the force law, above 0; 1 is linear (default 2/3)"
     parser.add_argument("--alpha", type=alpha, default=2 / 3, metavar="X", help=text)
-    text = "one time for the whole packing, as in the paper, not each contact its own"
+    text = "one time for all contacts, as in the paper, instead of one for each contact"
     parser.add_argument("--uniform", dest="analyse", action="store_const", const=equivalent_drag, help=text)
 
 

@@ -1,4 +1,4 @@
-"""BT Fig. 2: what the viscous forces resist, drawn from a real packing at ω → 0.
+"""BT Fig. 2: the velocities that viscous forces resist, in a packing at ω → 0.
 
 Axes: i disk, c contact, x Cartesian, d (ux, uy, θ).
 """
@@ -27,7 +27,7 @@ MOST_NEIGHBOURS = 6
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     packing = on_root(data.comm, import_packing, files[0])
@@ -47,7 +47,7 @@ def _draw(packing: Packing, problem: LinearProblem, q: Any, picture: Path) -> No
 
 
 def _draw_contacts(axes: Axes, problem: LinearProblem, q: Any) -> None:
-    """Draw one disk and its neighbours: how the point of contact of each moves against it."""
+    """Draw one disk and its neighbours, with the velocity of each contact point relative to the disk."""
     from matplotlib.patches import Circle
 
     network = problem.backbone
@@ -65,7 +65,7 @@ def _draw_contacts(axes: Axes, problem: LinearProblem, q: Any) -> None:
         other = network.j[c] if sign == 1 else network.i[c]
         axes.add_patch(Circle(sign * network.r[c], network.radii[other], fc="none", ec="0.6"))
         point = n * network.radii[disk]
-        # Δu∥ and Δu⊥ are the same seen from either disk: n and t both turn round
+        # Δu∥ and Δu⊥ do not depend on the order of the disks: n and t both change sign
         for amount, direction, colour in ((motion[c, 0], n, STORAGE), (motion[c, 1], t, LOSS)):
             arrows(axes, point, amount / size * direction, color=colour, width=0.008, headwidth=3.5, minlength=0)
     axes.plot([], [], color=STORAGE, label=r"$\Delta\dot u^\parallel$")
@@ -78,7 +78,7 @@ def _draw_contacts(axes: Axes, problem: LinearProblem, q: Any) -> None:
 
 
 def _draw_drag(axes: Axes, packing: Packing, problem: LinearProblem, q: Any) -> None:
-    """Draw every disk with its velocity against the affine flow."""
+    """Draw every disk with its velocity relative to the affine flow."""
     box = packing.box
     x = box.wrap(packing.positions)
     u = np.nan_to_num(problem.displacement(q))

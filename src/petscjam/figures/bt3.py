@@ -29,7 +29,7 @@ AFFINE = 0.05  # τ1 ω above which the response is no longer critical: BT, "for
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     results = data.results(files, ModulusAnalysis(parameters.points("omega")), [ContactDamping()], (True, False))
@@ -75,7 +75,7 @@ def draw_collapse(
 
 
 def exponents(page: Page, groups: Mapping[float, list[ComplexModulus]], how: str, affine: float) -> None:
-    """Note μ, λ and Δ: of the limits, of the collapse, and as slopes in the middle of the critical regime.
+    """Note μ, λ and Δ from the limits, from the collapse, and from slopes in the middle of the critical regime.
 
     Parameters
     ----------

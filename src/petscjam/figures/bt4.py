@@ -1,4 +1,4 @@
-"""BT Fig. 4: contact damping without and with little friction of sliding; and disks that do not roll."""
+"""BT Fig. 4: contact damping without and with little friction of sliding, and without rotations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNDAMPED, CENTRES = ContactDamping(0.0), ContactDamping(1.0, rotations=False)
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     omega, betas = parameters.points("omega"), list(map(ContactDamping, parameters.points("betas").tolist()))
     files = data.packings(parameters["particles"], parameters.points("pressure"))
@@ -97,7 +97,8 @@ def _draw_undamped(page: Page, panels: Sequence[Axes], results: Mapping[str, Com
 def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Viscosity]) -> None:
     """Draw G* at one pressure for every β, and the viscosities at both ends against β.
 
-    η0 = η0(0) + sβ exactly, and comes from the two that were solved for: at large β the sweep ends too early.
+    η0 = η0(0) + sβ is exact, and is computed from two direct solves, because at large β the range of frequencies
+    ends too early.
     """
     from matplotlib import colormaps
 
@@ -115,7 +116,7 @@ def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Visco
     low_end = [[none[key] + beta * (full[key] - none[key]) for key in there] for beta in betas]
     high_end = [[g.eta_inf for g in some] for some in groups.values()]
     for samples, marker, label in ((low_end, "o", r"$\eta_0$"), (high_end, "s", r"$\eta_\infty$")):
-        if not samples[0]:  # η0 was not solved for at this pressure
+        if not samples[0]:  # there is no direct solve for η0 at this pressure
             continue
         inset.errorbar(betas, *means(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
     inset.legend(frameon=False, fontsize=7)
@@ -127,7 +128,7 @@ def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Visco
 
 
 def _draw_centres(page: Page, axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
-    """Draw β = 1 with friction at the centres, scaled as if disks rolled."""
+    """Draw β = 1 with friction at the centres, scaled as with rotations."""
     groups = by_pressure(results.values(), prestress=False)
     colour = coloured(list(groups))
     for x, some in groups.items():
@@ -148,7 +149,7 @@ def _by_packing(results: Mapping[str, Viscosity], law: ContactDamping) -> dict[s
 
 
 def _crossover(page: Page, results: Mapping[str, Viscosity]) -> None:
-    """Note β* ~ p: η0 = η0(0) + sβ exactly, for θ follows alike at every β; β* is where both are equal."""
+    """Note β* ~ p: η0 = η0(0) + sβ is exact, because θ is the same at every β; at β* both terms are equal."""
     for prestress in (True, False):
         laws = UNDAMPED, ContactDamping()
         none, full = (by_pressure(results.values(), prestress=prestress, damping=law) for law in laws)

@@ -28,7 +28,7 @@ PAPER = {"parallel": "1/4", "transverse": "−1/4", "nonaffine": "−1/4"}
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     results = data.results(files, PackingAnalysis(quasistatic_response), prestress=(True, False))
@@ -72,7 +72,7 @@ def _draw(page: Page, results: Mapping[str, QuasistaticResponse], picture: Path)
 
 
 def _draw_energy(axes: Axes, p: Any, groups: Mapping[float, list[QuasistaticResponse]], prestress: bool) -> None:
-    """Draw the two terms of BT eq. 4: stretching, and how much of it pre-stress gives back."""
+    """Draw the two terms of BT eq. 4: stretching, and the negative term of the pre-stress."""
     for name, sign, marker in (("stretching", 1, "o"), ("pre_stress", -1, "v"), ("shear_modulus", 1, "s")):
         mean, error = means([[sign * getattr(r, name) for r in some] for some in groups.values()])
         if (mean > 0).all():

@@ -1,4 +1,4 @@
-"""BT Fig. 6: Stokes drag, its collapse, and what the viscosity of the fluid changes."""
+"""BT Fig. 6: Stokes drag, its collapse, and the effect of the viscosity of the fluid."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from petscjam.rows.damping import StokesDrag
 if TYPE_CHECKING:
     from petscjam.response.result import ComplexModulus
 
-FLUID = 0.01  # ωτ1 above which ηF ω counts in G″
+FLUID = 0.01  # ωτ1 above which ηF ω contributes to G″
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
+    """Compute and draw the figure: NAME.png is Fig. 6a, NAME-fluid.png Fig. 6b."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis = ModulusAnalysis(parameters.points("omega"))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     contact: dict[str, Any] = {}
     few = {"omegas": parameters.points("contact_omega")}
@@ -70,7 +70,7 @@ def _draw(
 
 
 def _draw_contact(page: Page, axes: Axes, results: Mapping[str, Any]) -> None:
-    """Draw C under contact damping against δ/L, for all sizes and frequencies; note where it crosses zero."""
+    """Draw C under contact damping against δ/L, for all sizes and frequencies; note its zero."""
     sizes = sorted({c.origin.particles for c in results.values()})
     for k, n in enumerate(sizes):
         some = {name: c for name, c in results.items() if c.origin.particles == n}
@@ -89,7 +89,7 @@ def _draw_contact(page: Page, axes: Axes, results: Mapping[str, Any]) -> None:
 
 
 def _note_lengths(page: Page, mean: CorrelationLength, what: str) -> None:
-    """Note where C crosses zero, at every frequency."""
+    """Note the zero of C at every frequency."""
     for w, omega in enumerate(mean.omega):
         name = f"{what}: l/L at ω = {omega:.0e}"
         page.findings.append(Finding(name, mean.length[w] / mean.L, mean.error[w] / mean.L, "about 1/4"))
@@ -144,7 +144,7 @@ def _draw_lengths(
 
 
 def _note_collapse(page: Page, curves: list[Curve]) -> None:
-    """Note how far l(−ln p)^−c lies from one curve against ω/p^½, and for which c it lies nearest."""
+    """Note the scatter of l(−ln p)^−c about one curve against ω/p^½, and the c with the smallest scatter."""
     what = "Stokes drag, below 0.7 of the plateau and ω < 0.02: scatter of ln l(−ln p)^−c, "
     for c, remark in ((-0.65, "as printed"), (0.0, "no logarithm"), (0.65, "the other sign")):
         distance = parabola_distance(curves, log_corrected, c=c)

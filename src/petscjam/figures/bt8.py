@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 EXPONENTS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # the exponent a of the paper for each law
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
 BULK = 100.0  # pN² above which the number of disks should not matter
-LARGE = 50.0  # pN² from which η0 is looked at for a dependence on N
+LARGE = 50.0  # smallest pN² for the fit of η0 against N
 MARKERS = "osD^vP*X"
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     results: dict[str, Any] = {}
     pressures, fewer = parameters.points("pressure"), parameters.points("large_pressure")
@@ -65,7 +65,7 @@ def _draw(page: Page, results: Mapping[str, Viscosity], picture: Path) -> None:
 
 
 def _curves(results: Mapping[str, Viscosity], law: DampingLaw, prestress: bool) -> dict[int, dict[float, list[float]]]:
-    """Return η0 of the packings by number of disks and pressure, two packings or more."""
+    """Return η0 of the packings by number of disks and pressure, with at least two packings."""
     sizes = sorted({v.origin.particles for v in results.values()})
     curves = {}
     for n in sizes:
@@ -76,7 +76,7 @@ def _curves(results: Mapping[str, Viscosity], law: DampingLaw, prestress: bool) 
 
 
 def _intensive(page: Page, curves: Mapping[int, Any], law: DampingLaw) -> None:
-    """Note how η0 depends on the number of disks where that should not matter: x = 0 if it is intensive."""
+    """Note the dependence of η0 on the number of disks at large pN²: x = 0 if η0 is intensive."""
     for p in sorted({p for groups in curves.values() for p in groups}):
         sizes = [n for n, groups in curves.items() if p in groups and p * n**2 >= LARGE]
         if len(sizes) > 2:
@@ -85,7 +85,7 @@ def _intensive(page: Page, curves: Mapping[int, Any], law: DampingLaw) -> None:
 
 
 def _find(page: Page, curves: Mapping[int, Any], law: DampingLaw, a: float, prestress: bool) -> None:
-    """Note a of the best collapse, and the exponent of the largest size by itself, for two windows of p."""
+    """Note a of the best collapse, and the exponent of the largest size alone, for two windows of p."""
     for most, window in ((np.inf, ""), (1.01 * LOW, f", p ≤ {LOW:g}")):
         how = f"{law}, {given(prestress)}{window}"
         kept = {n: {p: some for p, some in groups.items() if p <= most} for n, groups in curves.items()}

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
     from petscjam.plots.figure import Colour, Colours
 
-AFFINE = 0.05  # ωτα above which the response is no longer critical
+AFFINE = 0.05  # ωτα above which the response is not critical
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     analysis: Any = ModulusAnalysis(parameters.points("linear_omega"))
@@ -83,7 +83,7 @@ def _draw_mean(axes: Axes, some: list[NonlinearModulus], colour: Colour, form: s
 
 
 def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[float, Any], colour: Colours) -> None:
-    """Draw the moduli of one time for all over those with a time for each contact."""
+    """Draw the moduli with one time for all contacts, divided by those with a time for each contact."""
     for p, some in contacts.items():
         ours, theirs = (np.mean([g.values for g in found], axis=0) for found in (some, uniform[p]))
         axes.semilogx(some[0].omega, theirs.real / ours.real, "o-", ms=3, color=colour(p), label=f"p = {p:.2g}")
@@ -94,10 +94,10 @@ def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[floa
 
 
 def _note(page: Page, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
-    """Note the slopes of eqs. 27–29 and how G″ depends on p at the lowest frequency."""
+    """Note the slopes of eqs. 27–29 and the dependence of G″ on p at the lowest frequency."""
     name = f"α = {alpha:.3g}, {form}"
     lowest = groups[min(groups)]
-    own = form == "per contact"  # docs/howto/drag.md derives what to expect then
+    own = form == "per contact"  # docs/howto/drag.md derives the expected exponents
     critical = f"{alpha / 2:.3g}" + f"; per contact {2 * alpha / (1 + 3 * alpha):.3g} expected" * own
     for what, choose, part, paper in (
         ("quasi-static G″ ~ ω^x", "quasi-static", np.imag, f"{alpha:.3g}"),
@@ -117,7 +117,7 @@ def _note(page: Page, alpha: float, form: str, groups: Mapping[float, list[Nonli
 
 
 def _slope(g: NonlinearModulus, part: Any, choose: str) -> float:
-    """Return the slope where ωτ is below a tenth of the crossover p, or between ten p and ``AFFINE``."""
+    """Return the slope for ωτ below a tenth of the crossover p, or between ten p and ``AFFINE``."""
     rate, p = g.omega * g.tau, g.origin.pressure
     kept = rate < 0.1 * p if choose == "quasi-static" else (rate > 10 * p) & (rate < AFFINE)
     return log_slope(g.omega[kept], part(g.values[kept]))

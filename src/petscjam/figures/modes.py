@@ -1,4 +1,4 @@
-"""How many low modes make up the quasi-static response (BT Fig. 5 seen from the modes), and their kind.
+"""The number of low modes in the quasi-static response (BT Fig. 5 from modes), and their properties.
 
 Axes: m mode or pressure, k motion.
 """
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
     from petscjam.plots.figure import Colours
 
-WITHIN = 0.1  # of the median of the direct solve: then the modes are enough
+WITHIN = 0.1  # relative difference from the median of the direct solve for which modes are sufficient
 
 
 def draw(data: FigureData) -> None:
-    """Find what the figure shows, and draw it."""
+    """Compute and draw the figure."""
     parameters = data.parameters
     files = data.packings(parameters["particles"], parameters.points("pressure"))
     low = PackingAnalysis(mode_sum, {"count": parameters["count"]})
@@ -72,7 +72,7 @@ def _draw(page: Page, modes: Mapping[str, Any], density: Mapping[str, Any], pict
 
 
 def _draw_needed(page: Page, axes: Axes, groups: Mapping[float, list[ModeSum]]) -> None:
-    """Draw how many modes it takes, and note how that number depends on p."""
+    """Draw the number of modes that is needed, and note its dependence on p."""
     p = np.array(list(groups))
     for k, motion in enumerate(MOTIONS):
         colour, marker = STYLES[motion]
@@ -89,7 +89,7 @@ def _draw_needed(page: Page, axes: Axes, groups: Mapping[float, list[ModeSum]]) 
 
 
 def _draw_density(page: Page, axes: Axes, groups: Mapping[float, list[Any]], colour: Colours) -> None:
-    """Draw the mean density of states over packings; note its plateau, and the onset ω* of this."""
+    """Draw the mean density of states over packings; note its plateau, and the onset ω* of the plateau."""
     found = {p: [plateau(r) for r in some] for p, some in groups.items()}
     known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}
     page.exponent("onset ω* of the plateau of D(ω) ~ p^x", list(known), list(known.values()), "1/2")

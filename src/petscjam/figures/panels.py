@@ -1,4 +1,4 @@
-"""Pieces of pictures that several figures share.
+"""Common parts of several figures.
 
 Axes: w frequency, k packing.
 """
@@ -44,7 +44,7 @@ def draw_mean(
 
 
 def guide(axes: Axes, x: tuple[float, float], y: float, slope: float, text: str) -> None:
-    """Draw the power law y·(x/x[0])^slope as a straight line, and write ``text`` beside it.
+    """Draw the power law y·(x/x[0])^slope as a straight line, and write ``text`` next to it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How density and strain rate vary in space: local maps, profiles across the flow, and shear bands in them.
+"""Density and strain rate in space: local maps, profiles across the flow, and shear bands.
 
 Axes: i disk, c pair, b block, m layer in y.
 """
@@ -16,15 +16,15 @@ from petscjam.md.result import Run
 from petscjam.md.state import State
 
 RADIUS = 4.0  # ds, VOT sec. III C 2
-FEWEST = 8  # layers, to look for two bands in
+FEWEST = 8  # layers, to find two bands
 
 
 def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     """Return packing fraction and strain rate around every disk (VOT sec. III C 2 and fig. 27).
 
-    Both are averages over a circle around the centre of a disk. Its packing fraction is the area of disks
-    inside it, those it cuts counted by the part inside, over its own. Its strain rate is ∂vx/∂y of the
-    velocity field v0 + G·(r − r0) that fits, with least squares, the disks whose centres are inside.
+    Both are averages over a circle around the centre of a disk. The packing fraction is the area of disks inside
+    the circle, divided by the area of the circle; of a disk on its edge only the part inside counts. The strain
+    rate is ∂vx/∂y of a least-squares fit of the velocity field v0 + G·(r − r0) to the disks with centres inside.
     Images across the boundary move with γ̇L.
 
     Parameters
@@ -37,7 +37,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     -------
     phi : (N,)
     rate : (N,)
-        In 1/τe; NaN where fewer than three disks are inside.
+        In 1/τe; NaN if fewer than three disks are inside.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     i, j, (x, y) = i[inside], j[inside], r[inside].T
     u = state.peculiar[:, 0]  # the same for all images of a disk
     du = u[j] - u[i]
-    count = 1 + np.bincount(i, minlength=n)  # the disk itself lies at 0 and adds to no sum
+    count = 1 + np.bincount(i, minlength=n)  # the disk itself is at 0 and does not contribute
 
     def covariance(a: Array, b: Array) -> Array:
         mean_ab = np.bincount(i, a * b, n) / count
@@ -71,7 +71,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
 
 
 def _overlap(d: Array, R: float, r: Array) -> Array:
-    """Return the area that circles of radius ``R`` and ``r`` < ``R`` at distance ``d`` share."""
+    """Return the common area of circles of radius ``R`` and ``r`` < ``R`` at distance ``d``."""
     with np.errstate(divide="ignore"):
         a = np.clip((d**2 + R**2 - r**2) / (2 * d * R), -1, 1)
         b = np.clip((d**2 + r**2 - R**2) / (2 * d * r), -1, 1)
@@ -93,7 +93,7 @@ class Profile:
     length : float
         Edge L of the cell: the layers fill it.
     mean_rate, mean_phi : float
-        Of the cell. vx rises by ``mean_rate`` L from an image to the next.
+        Of the cell. vx increases by ``mean_rate`` L from one image to the next.
     """
 
     y: Array
@@ -126,30 +126,30 @@ def blocks_after(run: Run, strain: float | None = None) -> NDArray[np.bool_]:
 
 
 def profile(run: Run, after: float | None = None) -> Profile:
-    """Return the profiles of a run, averaged over the blocks that end beyond a strain.
+    """Return the profiles of a run, averaged over the blocks that end after a strain.
 
-    The strain rate of a layer comes from the velocities of its two neighbours. Errors are those of the
-    jackknife over blocks.
+    The strain rate of a layer comes from the velocities of its two neighbours. Errors are jackknife errors over
+    blocks.
 
     Parameters
     ----------
     run : Run
     after : float
-        Strain to leave out at the start; left out, a quarter of the run.
+        Strain to leave out at the start; default: a quarter of the run.
 
     Raises
     ------
     InputError
-        If no block is left, or a layer never held a disk.
+        If no block is left, or a layer never contains a disk.
     """
     kept = blocks_after(run, after)
     if not kept.any():
-        raise InputError(f"profile: none of {len(kept)} blocks ends beyond a strain of {after}")
+        raise InputError(f"profile: none of {len(kept)} blocks ends after a strain of {after}")
     samples, disks, vx, area = (
         run.blocks[key][kept].astype(float) for key in ("samples", "layer_disks", "layer_vx", "layer_area")
     )
     if not disks.sum(0).all():
-        raise InputError(f"profile: layer {int(np.argmin(disks.sum(0)))} held no disk")
+        raise InputError(f"profile: layer {int(np.argmin(disks.sum(0)))} contains no disk")
     L, layers = run.state.length, disks.shape[1]
     height = L / layers
     rate = float(run.rate[run.after(after)].mean())
@@ -188,9 +188,9 @@ class Bands:
     vx : (M,)
         Velocities of the fit at the layers of the profile, in ds/τe.
     one, two : float
-        Rms deviation of the profile from one slope and from these two, in ds/τe. Noise, too, fits two
-        slopes better than one: bands deserve the name if ``two`` is a small part of ``one``, and ``one``
-        well above the errors of the profile.
+        Rms deviation of the profile from one slope and from these two, in ds/τe. Two slopes always fit better
+        than one, also for noise: there are bands only if ``two`` is much smaller than ``one``, and ``one`` much
+        larger than the errors of the profile.
     """
 
     rates: tuple[float, float]
@@ -218,7 +218,7 @@ def bands(profile: Profile) -> Bands:
     u = u - u.mean()
 
     def fit(start: Array, share: Array) -> tuple[Array, Array]:
-        """Return the best fit to u, (…, M), and how much its slopes differ, times L, (…, 1)."""
+        """Return the best fit to u, (…, M), and the difference of its slopes times L, (…, 1)."""
         z = _zigzag(s, start, share)
         z = z - z.mean(-1, keepdims=True)
         rise = (z @ u)[..., None] / (z**2).sum(-1, keepdims=True)

@@ -1,10 +1,10 @@
-"""The hot loops of the disk MD, compiled by numba: forces, two integrators, sums, and contact events.
+"""The loops of the disk MD, compiled by numba: forces, two integrators, sums, and contact events.
 
-Units are ds, m, τe. With the surface speed w = Rθ̇ as the rotational variable, both disks of a contact feel
-the same torque term: with arms R r/σ (VOT eq. 6), ẇ = 2 (r/σ) ft/m on either, whatever its radius.
+Units are ds, m, τe. With the surface speed w = Rθ̇ as the rotational variable, both disks of a contact have the
+same torque term: with lever arms R r/σ (VOT eq. 6), ẇ = 2 (r/σ) ft/m for both, independent of their radii.
 
 Axes: i, j disks of pair c; columns of q: x, y, vx, vy, w; columns of F: the forces on these velocities.
-Sums are taken chunk by chunk, one row each; the last row is that of pairs which join chunks or images.
+Sums are taken chunk by chunk, one row each; the last row is that of pairs of two chunks or with an image.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Law(NamedTuple):
 
 
 class Disks(NamedTuple):
-    """Disks sorted in space: now, predicted, forces, radii, masses, and places at the last build."""
+    """Disks sorted in space: current and predicted values, forces, radii, masses, and positions at the last build."""
 
     q: Array
     p: Array
@@ -88,8 +88,8 @@ class Moment(NamedTuple):
 class Measured(NamedTuple):
     """Sums and contact events of each chunk, one row each, and of the rest in the last row.
 
-    ``counts`` has contacts made, broken, and ticks that the latter touched; ``angles`` those of both. ``total``
-    gets the sums of all rows, step by step.
+    ``counts`` has contacts made, contacts broken, and the duration of the broken ones in ticks; ``angles`` the
+    collision angles of both. ``total`` is the sum of all rows, added at each step.
     """
 
     sums: Array
@@ -99,9 +99,9 @@ class Measured(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """How steps are made: HEUN or SINGLE, dt of a part, parts of a step, what a change of the rate does.
+    """The integrator: HEUN or SINGLE, dt of a part, parts of a step, effect of a change of the rate.
 
-    ``threads`` is True, or None: then the kernels of one thread alone are compiled.
+    ``threads`` is True, or None: then only the kernels of one thread are compiled.
     """
 
     integrator: int
@@ -139,7 +139,7 @@ def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute, dU):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def separation(c, q, pairs, strain, rate):
-    """Return rji and vji of pair c, with the image of j that is meant.
+    """Return rji and vji of pair c, with the image of j of this pair.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _events(start, n, touch, touching, q, pairs, now, counts, angles):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _move_to_images(first, n, pairs, now, X, Y, U):
-    """Let separations and velocities of a batch be those of the images that are meant."""
+    """Change separations and velocities of a batch to those of the images of the pairs."""
     for c in range(n):
         row = pairs.ny[first + c]
         X[c] += (pairs.nx[first + c] + row * now.strain) * pairs.L
@@ -262,7 +262,7 @@ def _drag(chunk, q, F, R, law, rate, sums):
         heat += law.body * (cx * cx + cy * cy) + law.rotational_drag * spin * spin
         couple += law.rotational_drag * spin
     sums[chunk, HEAT] += heat
-    sums[chunk, WORK] = 0.5 * rate * couple  # of what keeps the fluid turning
+    sums[chunk, WORK] = 0.5 * rate * couple  # of the couple that rotates the fluid
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -285,10 +285,10 @@ def kinetic(q, m, rate, sums):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _predict(chunk, disks, scheme, rate, shear, room, sums):
-    """Predict where disks go (VOT eqs. 21, 22, or to second order); return how many leave their room.
+    """Predict the positions (VOT eqs. 21, 22, or to second order); return the number of disks that moved too far.
 
-    ``shear`` is the strain since the list was built. On the way, sum the products of peculiar velocities (VOT
-    eq. 14), now (HEUN) or as predicted (SINGLE).
+    ``shear`` is the strain since the list was built. Also sum the products of peculiar velocities (VOT eq. 14),
+    current (HEUN) or predicted (SINGLE).
     """
     q, p, F, m, home, dt = disks.q, disks.p, disks.F, disks.m, disks.home, scheme.dt
     half, later = (0.5 * dt, 1.0) if scheme.integrator == SINGLE else (0.0, 0.0)
@@ -316,7 +316,7 @@ def _predict(chunk, disks, scheme, rate, shear, room, sums):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _correct(chunk, disks, scheme):
-    """Average both forces. HEUN: F is their sum (VOT eqs. 23, 24). SINGLE: (v + v̂)/2 holds half of one."""
+    """Average both forces. HEUN: F is their sum (VOT eqs. 23, 24). SINGLE: (v + v̂)/2 contains half of one."""
     q, p, F, m, dt = disks.q, disks.p, disks.F, disks.m, scheme.dt
     first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))
     if scheme.integrator == HEUN:
@@ -339,10 +339,10 @@ def _correct(chunk, disks, scheme):
 
 @njit(cache=True, error_model="numpy")
 def jump(q, m, L, old, new, bulk):
-    """Change the strain rate at once; return the change of the peculiar kinetic and rotational energy.
+    """Change the strain rate; return the change of the peculiar kinetic and rotational energy.
 
-    ``bulk``: 0 changes nothing but the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the
-    change of the linear profile.
+    ``bulk``: 0 changes only the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the change of
+    the linear profile.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def jump(q, m, L, old, new, bulk):
         q[a, 4] *= factor
         if bulk == 2:
             q[a, 2] += (new - old) * q[a, 1]
-        elif bulk == 0:  # an image outside the square moves with its row
+        elif bulk == 0:  # an image outside the square moves with its row of images
             q[a, 2] += (new - old) * L * np.floor(q[a, 1] / L)
         x, y, w = q[a, 2] - new * q[a, 1], q[a, 3], q[a, 4]
         gain += m[a] * (0.5 * (x * x + y * y) + 0.25 * w * w)
@@ -460,9 +460,9 @@ def record(sums, rate, weight, total):
 
 @njit(cache=True, error_model="numpy")
 def _change(disks, pairs, law, now, old, scheme, measured):
-    """Change the strain rate from ``old``, and add what that brings to the energy and to the work.
+    """Change the strain rate from ``old``, and add the change of the energy and of the work.
 
-    The stress belongs to the part before and to this one, in equal shares.
+    Half of the stress counts for the part before, and half for this part.
     """
     sums, change, heun = measured.sums, now.rate - old, scheme.integrator == HEUN
     measured.total[JUMPS] += jump(disks.q, disks.m, pairs.L, old, now.rate, scheme.bulk)
@@ -476,7 +476,7 @@ def _change(disks, pairs, law, now, old, scheme, measured):
 
 @njit(cache=True, error_model="numpy")
 def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
-    """Make parts of steps as long as the list of pairs holds.
+    """Make parts of steps as long as the list of pairs is valid.
 
     Parameters
     ----------
@@ -489,9 +489,9 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
     rates : (K + 1,)
         Before the first part, and in each.
     tick : int
-        Moment of the beginning, in :data:`petscjam.md.engine.TICKS` a step.
+        Time of the beginning, in ticks, :data:`petscjam.md.engine.TICKS` per step.
     measured : Measured
-        ``total`` gets the sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``.
+        The sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``, are added to ``total``.
 
     Returns
     -------
@@ -590,10 +590,10 @@ def _moments(q, pairs, law, exponent, strain):
 
 @njit(cache=True, error_model="numpy")
 def fastest(disks, pairs, law, exponent, strain):
-    """Bound the largest eigenvalues of M⁻¹B and of M⁻¹K, from the contacts at this moment.
+    """Return bounds on the largest eigenvalues of M⁻¹B and of M⁻¹K, from the contacts of the current state.
 
     Of a relative velocity, |vi − vj|² ≤ (1 + zj/zi)|vi|² + (1 + zi/zj)|vj|² with the numbers of contacts z,
-    so the forms of all disks come apart (docs/theory.md, Largest time steps). Pre-stress only lowers K.
+    so the bound is a sum of forms of single disks (docs/theory.md, Largest time steps). Pre-stress only reduces K.
 
     Parameters
     ----------
@@ -655,7 +655,7 @@ def elastic_energy(q, pairs, law, exponent, strain):
 
 @njit(cache=True, error_model="numpy")
 def sample_disks(disks, L, rate, layers, sums):
-    """Add what disks do to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`).
+    """Add observables of disks to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`).
 
     Parameters
     ----------
@@ -680,9 +680,9 @@ def sample_disks(disks, L, rate, layers, sums):
 
 @njit(cache=True, error_model="numpy")
 def sample_contacts(q, pairs, now, moments, scatter, sums):
-    """Add what contacts do (:meth:`petscjam.md.engine.Engine.sample`); one goes to ``scatter``.
+    """Add observables of contacts (:meth:`petscjam.md.engine.Engine.sample`); those of one contact go to ``scatter``.
 
-    That one is spread over the contacts from sample to sample, and the same after a restart.
+    The choice of this contact varies from sample to sample, and is the same after a restart.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The models of sheared disks: a repulsion, a damping law, how strong it is, and the time step.
+"""The models of sheared disks: repulsion, damping law and its strength, and time step.
 
 Units are those of VOT: the diameter ds of a small disk, the mass m and the time τe are 1, so ke is, too.
 """
@@ -21,18 +21,18 @@ MODELS: dict[str, DampingLaw] = {
     "CD_n": ContactDamping(beta=0.0, rotations=False),  # VOT sec. II B, kd(t) = 0
 }
 INTEGRATORS = {"heun": 2.0, "single": 1.0}  # the largest stable product of a rate of relaxation and dt
-BULK = {"boundary": 0, "scale": 1, "profile": 2}  # what a change of the strain rate does to the disks
+BULK = {"boundary": 0, "scale": 1, "profile": 2}  # effect of a change of the strain rate on the disks
 LARGEST_STEP = 0.2  # τe: a collision of two disks of diameter ds lasts 2.2 τe
 STEP = 0.05  # τe, VOT sec. II D
-# The largest products of dt and the rates of relaxation of two disks that touch, normal and tangential, with
-# which the energy budget misses less than 1 % of the heat (measured, docs/design/0015).
+# The largest products of dt and the relaxation rates of two touching disks, normal and tangential, with an error
+# of the energy budget below 1 % of the heat (measured, docs/design/0015).
 ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
 DRAGS = {"drag": "stokes_drag", "spin_drag": "rotational_drag"}  # names in the file of a run, and of the fields
 
 
 @dataclass(frozen=True)
 class Model:
-    """What acts between disks: elastic repulsion (VOT eq. 2), damping of contacts, and perhaps a fluid.
+    """The forces on disks: elastic repulsion (VOT eq. 2), damping of contacts, and drag of a fluid.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Model:
     Raises
     ------
     InputError
-        If a number is not what it should be.
+        If a number is out of its range.
     """
 
     law: DampingLaw
@@ -117,7 +117,7 @@ class Model:
 
     @property
     def name(self) -> str:
-        """Its name in VOT, or what the law says of itself."""
+        """Its name in VOT, or the text of the law."""
         return next((name for name, law in MODELS.items() if law == self.law), str(self.law))
 
     @property
@@ -137,7 +137,7 @@ class Model:
 
     @property
     def body(self) -> float:
-        """Friction coefficient of a disk against the affine flow, in m/τe."""
+        """Friction coefficient of a disk relative to the affine flow, in m/τe."""
         return self.law.body / self.Q + self.stokes_drag
 
     @property
@@ -146,9 +146,9 @@ class Model:
         return self.law.fluid / self.Q
 
     def largest_step(self, integrator: str) -> float:
-        """Return the largest time step, in τe, that is stable while disks (m = 1) touch in pairs.
+        """Return the largest time step, in τe, that is stable for pairs of touching disks (m = 1).
 
-        What more contacts demand is found on the way (:meth:`petscjam.md.simulation.Simulation.demand`).
+        With more contacts the limit is computed during the run (:meth:`petscjam.md.simulation.Simulation.demand`).
         """
         normal, tangential = self._pair
         fastest = max(normal, tangential) + max(self.body, 8 * self.rotational_drag)

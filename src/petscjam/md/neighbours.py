@@ -1,10 +1,10 @@
-"""Which disks may touch before the list is built anew: the pairs of :func:`petscjam.geometry.neighbours.find`.
+"""The list of pairs that may touch before the next build, by :func:`petscjam.geometry.neighbours.find`.
 
 Disks are sorted in space. Pairs inside a chunk of them come first and need no image; the others come last,
 with the image (nx, ny) of the second disk. So chunks are independent: sums do not depend on their threads.
 
-Between two builds disks keep their coordinates, wherever they go. A list holds while twice the largest
-non-affine displacement, and what the shear brings together, are less than the skin.
+Between two builds coordinates are not wrapped into the cell. A list is valid as long as twice the largest
+non-affine displacement, plus the approach by shear, is less than the skin.
 
 Axes: i, j disks of pair c; columns of q: x, y, vx, vy, and the surface speed Rθ̇.
 """
@@ -31,13 +31,13 @@ class Pairs(NamedTuple):
         1/(Ri + Rj).
     touching : (C,) uint8
     since : (C,) int64
-        Tick at which they came to touch.
+        Tick at which the contact was made.
     chunks : (number of chunks + 1,) int64
-        Where the pairs of each chunk begin; those after the last join chunks or images.
+        Where the pairs of each chunk begin; those after the last are pairs of two chunks or with an image.
     nx, ny : int64
         Images of these.
     L, strain, skin : float
-        Edge of the cell, γ at which the list was made, and how far apart disks on it may be.
+        Edge of the cell, γ at the build, and largest gap between the disks of a pair.
     """
 
     i: NDArray[np.uint32]
@@ -159,7 +159,7 @@ def open_contacts(pairs: Pairs, tag: Integers) -> Integers:
 
 @njit(cache=True)
 def mark(pairs: Pairs, tag: Integers, contacts: Integers) -> int:
-    """Mark ``contacts`` of :func:`open_contacts` in a new list; return how many are not in it.
+    """Mark ``contacts`` of :func:`open_contacts` in a new list; return the number that is not in it.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def mark(pairs: Pairs, tag: Integers, contacts: Integers) -> int:
     for a in range(n):
         place[tag[a]] = a
     total, inside = len(pairs.i), pairs.chunks[-1]
-    first = np.full((2, n), total, np.int64)  # where the pairs of a disk begin: inside chunks, and the rest
+    first = np.full((2, n), total, np.int64)  # first pair of each disk: inside chunks, and of the rest
     for c in range(total - 1, -1, -1):
         first[0 if c < inside else 1, pairs.i[c]] = c
     lost = 0

@@ -1,4 +1,4 @@
-"""Histories of the strain rate, as data: γ̇ of each step, how long, and what a change does to the disks.
+"""Histories of the strain rate, as data: γ̇ of each step, duration, and effect of a change on the disks.
 
 Axes: k step.
 """
@@ -29,12 +29,12 @@ class Protocol:
     duration : float
         In τe.
     bulk : str
-        What a change of the rate does: ``scale``, ``profile`` or ``boundary``
+        Effect of a change of the rate: ``scale``, ``profile`` or ``boundary``
         (:meth:`petscjam.md.simulation.Simulation.advance`).
     settings : dict
-        What it was made of.
+        Its parameters.
     row_time : float
-        τe between two rows of the time series; None: as many rows as runs have otherwise.
+        τe between two rows of the time series; None: the default number of rows.
     """
 
     name: str
@@ -144,7 +144,7 @@ def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale")
 
 
 def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
-    """Shear as γ = γ0 sin ωt; the disks follow the linear profile of the moment.
+    """Shear as γ = γ0 sin ωt; the change of the linear profile is added to the velocities.
 
     Parameters
     ----------

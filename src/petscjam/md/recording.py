@@ -1,4 +1,4 @@
-"""Recording a run that is going on: time series, blocks, and a file that is whole at every moment."""
+"""Recording of a run: time series, blocks, and a file that is complete at every moment."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ EVERY = 30.0  # seconds between two checkpoints on disk
 
 
 class Recorder:
-    """Rows and blocks of a run that is going on.
+    """Rows and blocks of the current run.
 
     Parameters
     ----------
     settings : Settings
     engine : Engine
-        At the start, or where ``run`` ends.
+        At the start, or at the end of ``run``.
     run, saved : Run and mapping, optional
-        To go on with, and its checkpoint: the observables recorded are those of ``run``.
+        The run to continue, and its checkpoint; the recorded observables are those of ``run``.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class Recorder:
     ) -> Run:
         """Advance to step ``total`` of ``protocol``; write a checkpoint every 30 s, and at the end.
 
-        Whatever ends it, the file is left with the last whole row.
+        The file ends with the last complete row, also after an error or a signal.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class Recorder:
         output : path
             File of the run.
         frames : int
-            Snapshots in all, evenly spaced.
+            Total number of snapshots, evenly spaced.
         progress : callable
             See :mod:`petscjam.base.progress`.
 
@@ -122,7 +122,7 @@ class Recorder:
                     text = f"{self._text()}, {speed / 1e6:.0f} million disk steps a second"
                     progress(engine.steps / total, text)
                 check()
-        except BaseException:  # drop what a row that was not finished added to the block
+        except BaseException:  # remove the contribution of an incomplete row to the block
             if self.saved:
                 self.block = BlockSums.restored(self.saved)
             raise
@@ -196,7 +196,7 @@ class Recorder:
         return saved
 
     def _text(self) -> str:
-        """Say how far the run is, as far as the observables that it records tell."""
+        """Return a line on the progress of the run, from the observables that it records."""
         rows = Observed(self.rows)
         text = f"strain {rows['strain'][-1]:.4g}"
         with suppress(AbsentError):
@@ -209,7 +209,7 @@ class Recorder:
 
     @property
     def run(self) -> Run:
-        """What there is so far; the last block may be shorter."""
+        """The run so far; the last block may be shorter."""
         blocks = {name: list(values) for name, values in self.blocks.items()}
         if self.block.looked[0]:
             for name, value in self._closed().items():
@@ -222,7 +222,7 @@ class Recorder:
         )
 
     def write(self, output: str | PathLike[str]) -> None:
-        """Replace the file, wholly or not at all."""
+        """Replace the file, completely or not at all."""
         with atomic_h5(output) as h5:
             write_run(h5, self.run)
             node = group(h5, "checkpoint")
@@ -231,7 +231,7 @@ class Recorder:
 
 
 def read_checkpoint(h5: h5py.Group, shapes: Mapping[str, str]) -> dict[str, Any]:
-    """Return what a run needs to go on (:meth:`Recorder.write`) from an open HDF5 file.
+    """Return the checkpoint (:meth:`Recorder.write`) of an open HDF5 file.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def read_checkpoint(h5: h5py.Group, shapes: Mapping[str, str]) -> dict[str, Any]
     """
     saved = {name: h5["checkpoint"][name][()] for name in h5["checkpoint"]}
     whole = {"tag", "contacts", "counts", "block_angles"}
-    if "block_looked" in saved and saved["block_looked"].dtype.kind == "i":  # older files have floats, too
+    if "block_looked" in saved and saved["block_looked"].dtype.kind == "i":  # older files also have floats
         whole.add("block_looked")
     check_arrays("checkpoint", {**shapes, **CHECKPOINT}, saved, {"block_scatter"}, whole)
     return saved

@@ -1,4 +1,4 @@
-"""What a sheared run leaves: its settings, its time series, its histograms and profiles, and its last state.
+"""The result of a sheared run: settings, time series, histograms and profiles, and the last state.
 
 Axes: k row (an interval of the series), b block of rows, i disk.
 """
@@ -25,11 +25,11 @@ from petscjam.md.state import State
 if TYPE_CHECKING:
     import h5py
 
-FORMAT, SCHEMA = "petscjam run", 2  # schema 1 knew neither parts nor other potentials
-MISSED = 0.01  # share of the heat that the energy budget may miss without a warning
+FORMAT, SCHEMA = "petscjam run", 2  # schema 1 had neither parts nor other potentials
+MISSED = 0.01  # largest error of the energy budget, relative to the heat, without a warning
 MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_N of VOT eqs. 31–34
 PARTS = ("elastic", "dissipative", "kinetic")  # of the pressure tensor
-MEANS = {  # time means that a run tells, from properties of it
+MEANS = {  # time means of properties of a run, for ``info``
     "P elastic": "pressure_elastic",
     "Σ elastic": "stress_elastic",
     "P": "pressure",
@@ -59,8 +59,8 @@ class Run:
     ----------
     settings : Settings
     rows : mapping of (K,) arrays
-        One value an interval: :data:`petscjam.md.observables.ROWS`. An AbsentError (InputError) names one that is
-        asked for and was not recorded.
+        One value for each interval: :data:`petscjam.md.observables.ROWS`. One that was not recorded is an
+        AbsentError (InputError) with its name.
     blocks : mapping of arrays
         Sums over blocks of intervals: :data:`petscjam.md.observables.BLOCKS`; the first axis is the block.
     state : State
@@ -147,7 +147,7 @@ class Run:
         return self.rows["dvx2"] / self.rows["vy2"]
 
     def after(self, strain: float | None = None) -> NDArray[np.bool_]:
-        """Return which rows lie beyond ``strain`` from the start, (K,) bool; left out, 1/4 of the run."""
+        """Mark the rows after ``strain`` from the start (default: 1/4 of the run), (K,) bool."""
         elapsed = np.diff(self.time, prepend=self.settings.time0)
         done = np.cumsum(np.abs(self.rate) * elapsed)
         return done > (done[-1] / 4 if strain is None else strain)
@@ -160,7 +160,7 @@ class Run:
         values : str or (K,)
             As ``"pressure"`` or ``"elastic_xy"``.
         after : float
-            Strain to leave out at the start; left out, a quarter of the run.
+            Strain to leave out at the start; default: a quarter of the run.
 
         Raises
         ------
@@ -172,11 +172,11 @@ class Run:
             values = getattr(self, values) if known else self.rows[values]
         kept = np.asarray(values)[self.after(after)]
         if len(kept) < 2:
-            raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows lie after a strain of {after}")
+            raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows are after a strain of {after}")
         return Mean(float(kept.mean()), blocked_error(kept))
 
     def means(self) -> dict[str, Mean]:
-        """Return the time means that a run tells, by symbol; those that it lacks observables for are left out.
+        """Return the time means for ``info``, by symbol, without those whose observables the run lacks.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class Run:
 
     @property
     def missed(self) -> float:
-        """Share of the heat that the energy budget misses: in the run, or after a quarter if that is more."""
+        """Error of the energy budget relative to the heat: of the run, or after its first quarter if that is larger."""
         rounding = 1e-12 * np.abs(self.rows["energy"]).max(initial=0.0)
         shares = [0.0]
         for kept in (slice(None), self.after()):
@@ -205,7 +205,7 @@ class Run:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the numbers of the run doubtful, a sentence each."""
+        """Reasons why the numbers of the run may be inaccurate, one sentence each."""
         found, s = [], self.settings
         with suppress(AbsentError):
             if not self.missed <= MISSED:
@@ -224,8 +224,8 @@ class Run:
 def blocked_error(values: ArrayLike) -> float:
     """Return the standard error of the mean of a correlated series, the largest over blockings.
 
-    Values are averaged in pairs again and again (Flyvbjerg & Petersen 1989); each blocking with at least
-    eight blocks gives an estimate.
+    Values are averaged in pairs repeatedly (Flyvbjerg & Petersen 1989); each blocking with at least eight blocks
+    gives an estimate.
     """
     x, worst = np.asarray(values, dtype=float), 0.0
     while len(x) >= 2:
@@ -292,7 +292,7 @@ def read_run(h5: h5py.Group) -> Run:
 
 
 def _arrays(node: h5py.Group, known: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the arrays of a group, those that are known first, in their order."""
+    """Return the arrays of a group, known ones first, in their order."""
     names = [*(name for name in known if name in node), *(name for name in node if name not in known)]
     return {name: node[name][()] for name in names}
 
@@ -309,7 +309,7 @@ def check_arrays(
     Parameters
     ----------
     where : str
-        What to call them in a message.
+        Their name in a message.
     shapes : mapping
         Axes of each (:func:`petscjam.base.files.check_shapes`).
     values : mapping
@@ -344,7 +344,7 @@ def read(path: str | PathLike[str]) -> Run:
 
 
 def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
-    """Return every run in ``folder`` by the name of its file, without the ending."""
+    """Return every run in ``folder`` by the name of its file, without the extension."""
     files = sorted(Path(folder).glob("*.h5"))
     return {file.stem: read(file) for file in files if is_run(file)}
 
@@ -362,7 +362,7 @@ def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) 
     Raises
     ------
     InputError
-        If the file cannot be written, or is there.
+        If the file cannot be written, or exists.
     """
     check_output(path, overwrite=overwrite)
     table = np.column_stack(list(run.rows.values()))

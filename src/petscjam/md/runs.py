@@ -1,4 +1,4 @@
-"""Shear disks: along a steady flow, a ramp of the strain rate, or any protocol."""
+"""Shear disks at a constant rate, in a ramp of the strain rate, or by any protocol."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from petscjam.parallel.memory import require
 from petscjam.rows.damping import DampingLaw
 
 ENGINES: dict[str, type[Engine]] = {"cpu": Simulation}
-ROW_COUNT, LEAST = 1000, 50  # rows of a run, and the fewest steps of one
-BUILD = ("version", "numba", "processor")  # settings that change no more than the last bits
+ROW_COUNT, LEAST = 1000, 50  # rows of a run, and smallest number of steps of a row
+BUILD = ("version", "numba", "processor")  # settings that change only the last bits
 OWN = ("threads", "cycles", *BUILD)  # settings that a resumed run may change
-BYTES_PER_STEP = 16  # in a row: strains and rates of a fifth of its steps, and what they are made of
-BYTES_PER_ROW = 4000  # numbers of a row, its share of a block, and copies while they are written
+BYTES_PER_STEP = 16  # in a row: strains and rates of a fifth of its steps, and temporary arrays
+BYTES_PER_ROW = 4000  # numbers of a row, its share of a block, and copies during writing
 
 
 def shear(
@@ -56,34 +56,34 @@ def shear(
     output: str | PathLike[str] | None = None,
     **options: Any,
 ) -> Run:
-    """Shear disks at a steady rate (VOT sec. II).
+    """Shear disks at a constant rate (VOT sec. II).
 
     Parameters
     ----------
     model : str or DampingLaw
         ``CD``, ``CD_rot``, ``CD_n``, or a law of the linear response, as ``ContactDamping(beta=0.3)``.
     n : int
-        Number of disks, even, half of diameter 1, half of 1.4; left out, 1024 or that of ``start``.
+        Number of disks, even, half of diameter 1, half of 1.4; default: 1024 or that of ``start``.
     phi : float
-        Packing fraction; left out, 0.82 or that of ``start``.
+        Packing fraction; default: 0.82 or that of ``start``.
     Q : float
         Elasticity of collisions, above 0 (VOT eq. 9).
     rate : float
         γ̇ in 1/τe.
     strain : float
-        To shear by.
+        Amount of strain.
     seed : int
         Of the random start.
     dt : float
-        Time step in τe; left out, 0.05, or less where damping is strong: one that keeps the energy budget
-        within 1 % of the heat. Where the contacts demand smaller steps to be stable, they are divided.
+        Time step in τe; default: 0.05, or less for strong damping, with an error of the energy budget below 1 %
+        of the heat. Steps are divided if the contacts require it for stability.
     start : State, Run, Packing or path
-        Where to start from; left out, from random positions, let part, on the linear profile. Velocities and
-        spins of a run are scaled to the new rate (VOT eqs. 40, 41). History matters: it is recorded. Disks
-        repel each other as they did at the start. A packing whose lattice is that of a square, sheared along
-        one of its lattice vectors, is turned until this lies along x.
+        Initial state; default: random positions, moved apart, with the linear profile. Velocities and spins of a
+        run are scaled to the new rate (VOT eqs. 40, 41). The start is recorded, because flows depend on their
+        history. The potential is that of the start. The lattice of a packing must be that of a square sheared
+        along a lattice vector; the packing is rotated until this vector is along x.
     output : path
-        File of the run (HDF5), whole at every moment.
+        File of the run (HDF5), complete at every moment.
     **options
         As for :func:`run`: integrator, threads, exponent, stokes_drag, rotational_drag, row_time, resume, overwrite,
         progress, frames.
@@ -91,14 +91,14 @@ def shear(
     Returns
     -------
     Run
-        What makes its numbers doubtful is in ``warnings``, and given as a warning of Python.
+        ``warnings`` has the reasons why its numbers may be inaccurate; they are also Python warnings.
 
     Raises
     ------
     InputError
-        If a number makes no sense, or the output cannot be written or resumed.
+        If a number is out of its range, or the output cannot be written or resumed.
     SolverError
-        If the disks fly apart.
+        If velocities diverge.
     """
     return run(
         protocols.steady(rate, strain), model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options
@@ -160,30 +160,30 @@ def run(
     progress: Report | None = None,
     engine: str = "cpu",
 ) -> Run:
-    """Shear disks along any protocol; parameters that are not listed are those of :func:`shear`.
+    """Shear disks by any protocol; parameters that are not listed are those of :func:`shear`.
 
     Parameters
     ----------
     protocol : Protocol
         As ``steady(1e-4, 10)`` of :mod:`petscjam.md.protocols`.
     integrator : str
-        ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces a step, a smaller largest dt).
+        ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces in each step, smaller largest dt).
     threads : int
-        They pay from ten thousand disks on; results do not depend on them.
+        Useful from ten thousand disks on; results do not depend on them.
     exponent : float
-        α of the repulsion (VOT eq. 1); left out, that of ``start``, or 2.
+        α of the repulsion (VOT eq. 1); default: that of ``start``, or 2.
     stokes_drag, rotational_drag : float
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     row_time : float
-        τe between two rows of the time series, at least 50 steps; left out, a thousandth of the run, or 10³
-        τe in a ramp.
+        τe between two rows of the time series, at least 50 steps; default: a thousandth of the run, or 10³ τe in
+        a ramp.
     resume : bool
-        Go on where ``output`` ends, bit for bit as if it had not been stopped. A longer run goes on from its
-        end. ``dt`` and ``row_time``, left out, are those of ``output``.
+        Continue from the end of ``output``, bit for bit as without the stop. A longer run continues from its end.
+        The default ``dt`` and ``row_time`` are those of ``output``.
     overwrite : bool
         Replace ``output``.
     frames : int
-        So many snapshots on the way, evenly spaced, in the folder OUTPUT.frames
+        Number of snapshots, evenly spaced in time, in the folder OUTPUT.frames
         (:func:`petscjam.md.frames.write_frame`).
     progress : callable
         See :mod:`petscjam.base.progress`.
@@ -196,7 +196,7 @@ def run(
     ranges.SEED.check("shear: the seed", seed)
     ranges.FRAMES.check("shear: the number of frames", frames)
     if frames and output is None:
-        raise InputError("shear: frames are written beside the output: give one")
+        raise InputError("shear: frames are written next to the output: give one")
     with _claimed(output, start, overwrite=overwrite or resume, frames=frames > 0):
         kind = ENGINES[engine]
         earlier = _earlier(output, kind) if output is not None and resume and Path(output).exists() else None
@@ -253,7 +253,7 @@ def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int
     Raises
     ------
     InputError
-        If these are too many steps or rows, or take more memory than is free.
+        If there are too many steps or rows, or they need more memory than is free.
     """
     if row_time is not None:
         ranges.ROW_TIME.check("shear: row_time", row_time)
@@ -276,14 +276,14 @@ def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int
 
 
 class _Earlier(NamedTuple):
-    """A run to go on with, and its checkpoint."""
+    """A run to continue, and its checkpoint."""
 
     file: str | PathLike[str]
     run: Run
     saved: dict[str, Any]
 
     def check(self, asked: Mapping[str, Any]) -> None:
-        """Refuse to go on with other settings, None agrees with all; warn if it is with another build."""
+        """Refuse other settings (None is equal to any); warn about another build."""
         settings = self.run.settings.attributes
         for name, value in asked.items():
             there: Any = settings.get(name)
@@ -306,5 +306,5 @@ def _earlier(output: str | PathLike[str], engine: type[Engine]) -> _Earlier:
     """Return the run of a file."""
     with open_h5(output) as h5:
         if h5.attrs.get("schema") == 1:
-            raise InputError("was made by an older petscjam; it cannot be resumed, but be a start")
+            raise InputError("was made by an older petscjam; it cannot be resumed, but it can be a start")
         return _Earlier(output, read_run(h5), read_checkpoint(h5, engine.CHECKPOINT))

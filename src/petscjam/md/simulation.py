@@ -1,4 +1,4 @@
-"""The engine of the CPU: disks, their list of pairs, and the sums of what was measured.
+"""The engine for the CPU: disks, list of pairs, and sums of observables.
 
 Axes: i disk, x Cartesian, k step.
 """
@@ -23,35 +23,35 @@ from petscjam.md.state import State
 
 SCHEMES = {"heun": HEUN, "single": SINGLE}
 SKIN = 0.03  # ds, the first list
-SKINS = 0.005, 0.5  # the least and the most of later ones
-BALANCE = {"heun": 1.3, "single": 2.6}  # cost of a build over that of the pairs in a skin of 1 ds, per step
+SKINS = 0.005, 0.5  # smallest and largest skin of later lists
+BALANCE = {"heun": 1.3, "single": 2.6}  # cost of a build divided by the cost of the pairs in a skin of 1 ds, per step
 
 
 class Simulation:
     """Disks under shear, advanced step by step: an :class:`petscjam.md.engine.Engine`.
 
-    A step is divided into parts, a power of 2, where the contacts demand it (:meth:`demand`), which is found
-    anew with each list of pairs. ``parts`` is that number now, ``substeps`` how many were made, ``most`` the
-    largest number since the last :meth:`collect`.
+    A step is divided into a power of 2 of parts if the contacts require it (:meth:`demand`); the number is
+    computed with each list of pairs. ``parts`` is its current value, ``substeps`` the total number of parts so
+    far, ``most`` the largest number since the last :meth:`collect`.
 
     Parameters
     ----------
     state : State
     model : Model
     dt : float
-        Time step in τe, before it is divided; left out, as :meth:`petscjam.md.model.Model.step` says.
+        Time step in τe, before it is divided; default: :meth:`petscjam.md.model.Model.step`.
     integrator : str
         ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces a step).
     threads : int
     masses : (N,)
-        In m; left out, all 1 (VOT).
+        In m; default: all 1 (VOT).
 
     Raises
     ------
     InputError
         If dt is not stable for two disks, or the cell is too small for its disks.
     SolverError
-        If the contacts demand steps below a thousandth of dt.
+        If the contacts require steps below a thousandth of dt.
     """
 
     CHECKPOINT: ClassVar[Mapping[str, str]] = {
@@ -101,7 +101,7 @@ class Simulation:
         self.skin = SKIN
         self.steps = self.rebuilds = self.substeps = 0
         self._since = 0  # substep of the last build
-        # A contact is known by its disks: no disk may meet two images of another, nor its own.
+        # A contact is identified by its disks: no disk may touch two images of another disk, or its own.
         self._widest = state.length / 2 - float(np.sort(state.radii)[-2:].sum())
         if self._widest < SKINS[0]:
             raise InputError(f"shear: a cell of {state.length:.3g} is too small for disks of these sizes")
@@ -111,7 +111,7 @@ class Simulation:
         self._build(np.empty((0, 3), np.int64))
         self._divided, self.most = self.parts, 1
         self._start = self._now()
-        self._forget_events()  # what touches at the start was not made
+        self._forget_events()  # contacts of the initial state do not count as made
 
     def __len__(self) -> int:
         return len(self.tag)
@@ -137,22 +137,22 @@ class Simulation:
         return kernels.fastest(self._disks, self._pairs, self._law, self._exponent, self.strain)
 
     def demand(self) -> int:
-        """Return into how many parts a step must be divided to be stable with the contacts of the moment."""
+        """Return the number of parts of a step that is needed for stability with the current contacts."""
         largest, parts = stable_step(self.integrator, *self.fastest()), 1
         while self.dt > parts * largest:
             parts *= 2
         if parts > TICKS:
             raise SolverError(
-                f"shear: at a strain of {self.strain:.6g} the contacts demand steps below {largest:.3g} "
+                f"shear: at a strain of {self.strain:.6g} the contacts require steps below {largest:.3g} "
                 "tau_e; take a smaller dt"
             )
         return parts
 
     def rebuild(self) -> None:
-        """Build the list of pairs anew, with the skin that the displacements since the last build suggest.
+        """Build the list of pairs, with a skin from the displacements since the last build.
 
-        A wider skin costs pairs at each step, a narrower one more builds: the cost is least where a skin
-        of s lasts as long as s² says.
+        A wider skin costs more pairs at each step, a narrower one more builds; the sum is smallest if a skin s
+        lasts for a time proportional to s².
         """
         d, shear = self._disks, self.strain - self._pairs.strain
         if self.substeps > self._since:
@@ -171,9 +171,8 @@ class Simulation:
         strains : (K,)
             γ at the end of each step.
         rates : (K,)
-            γ̇ in each step. Where it changes, ``bulk`` says what happens to the disks: ``scale`` their
-            velocities and spins with the rate (VOT eqs. 40, 41), add the change of the linear ``profile``,
-            or leave it to the ``boundary``.
+            γ̇ in each step. ``bulk`` selects the effect of a change: ``scale`` velocities and spins with the rate
+            (VOT eqs. 40, 41), add the change of the linear ``profile``, or move only the ``boundary``.
 
         Raises
         ------
@@ -193,7 +192,7 @@ class Simulation:
         self._check()
 
     def _advance(self, strains: Array, rates: Array, bulk: str) -> int:
-        """Make steps until other parts of them are demanded; return how many, the last one finished."""
+        """Make steps until another number of parts is needed; return the number of complete steps."""
         parts = self._begin()
         scheme = Scheme(SCHEMES[self.integrator], self.dt / parts, parts, BULK[bulk], self._threads)
         fine = np.concatenate([rates[:1], np.repeat(rates[1:], parts)])
@@ -216,7 +215,7 @@ class Simulation:
         return made // parts
 
     def _begin(self) -> int:
-        """Begin to divide steps as is demanded; return into how many parts."""
+        """Set the number of parts that is needed, and return it."""
         if self.parts != self._divided:
             self._measured.total[:], self._start = self._closed()
             self._divided = self.parts
@@ -244,7 +243,7 @@ class Simulation:
         return Moment(self.strain, self.rate, self.steps * TICKS)
 
     def _now(self) -> Array:
-        """Return the sums at this moment, and record contacts that have just begun or ceased to touch."""
+        """Return the sums of the current state, and record contacts that were made or broken in the last step."""
         d, now, sums = self._disks, np.zeros(SUMS), self._measured.sums
         d.F[:] = 0.0
         kernels.forces(d.q, d, self._pairs, self._law, self._moment, self._threads, True, self._measured)
@@ -267,7 +266,7 @@ class Simulation:
         return float(elastic), float(d.m @ (c**2).sum(1)) / 2, float(d.m @ d.q[:, 4] ** 2) / 4
 
     def collect(self) -> Totals:
-        """Return the sums over the steps since the last call, and begin anew."""
+        """Return the sums over the steps since the last call, and set them to zero."""
         sums, self._start = self._closed()
         totals = Totals(sums, self._measured.counts.sum(0), self._measured.angles.sum(0))
         self._forget_events()
@@ -276,14 +275,14 @@ class Simulation:
         return totals
 
     def _closed(self) -> tuple[Array, Array]:
-        """Return what was summed, by the trapezoidal rule, and the sums at this moment."""
+        """Return the sums by the trapezoidal rule, and the sums of the current state."""
         end = self._now()
         half = 0.5 * (end - self._start) * (1 if self.integrator == "heun" else -1) / self._divided
         half[[TOUCHING, JUMPS]] = 0.0
         return self._measured.total + half, end
 
     def sample(self, layers: Array, moments: Array, scatter: Array) -> Array:
-        """Add what disks and contacts do at this moment (:meth:`petscjam.md.engine.Engine.sample`).
+        """Add observables of the current state (:meth:`petscjam.md.engine.Engine.sample`).
 
         Parameters
         ----------
@@ -302,7 +301,7 @@ class Simulation:
 
     @property
     def state(self) -> State:
-        """The state at this moment, disks in the order of the start."""
+        """The current state, disks in the order of the start."""
         q = np.empty_like(self._disks.q)
         q[self.tag] = self._disks.q
         R = np.empty(len(q))
@@ -312,9 +311,9 @@ class Simulation:
         )
 
     def checkpoint(self) -> dict[str, Any]:
-        """Build a new list; return all that :meth:`restored` needs to go on bit for bit.
+        """Build a new list; return everything that :meth:`restored` needs to continue bit for bit.
 
-        Call :meth:`collect` first: it records the contacts that the last step made and broke.
+        Call :meth:`collect` before: it records the contacts that the last step made and broke.
         """
         self.rebuild()
         self._divided = self.parts
@@ -352,7 +351,7 @@ class Simulation:
         """
         q, radii, tags = saved["q"], saved["radii"], np.arange(len(saved["tag"]))
         if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(saved["contacts"][:, :2], tags).all()):
-            raise InputError("checkpoint: tag or contacts name disks that there are not")
+            raise InputError("checkpoint: tag or contacts contain disks that do not exist")
         L, strain, rate, time, skin = (float(x) for x in saved["numbers"])
         state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, L, strain, rate, time)
         new = cls(state, model, dt, integrator, threads, saved["masses"])

@@ -18,15 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CURVES = 7  # at most, in a panel
+CURVES = 7  # largest number of curves in a panel
 
 
 def correlations_figure(results: Mapping[str, Correlations]) -> Figure:
     """Draw C against δ/L, solid at peak stress and dashed at zero stress, and the correlation length l(ω).
 
-    Packings of one size and pressure under one law are averaged, those that are not stable left out, unless
-    none is. C has a panel for each law, and shows the first such mean; l is shown for all of them, filled
-    with pre-stress.
+    Packings of one size, pressure and law are averaged, without unstable ones unless all are unstable. C has a
+    panel for each law with the first such mean; l is drawn for all means, with filled symbols for pre-stress.
     """
     from matplotlib.figure import Figure
 
@@ -45,7 +44,7 @@ def correlations_figure(results: Mapping[str, Correlations]) -> Figure:
 
 
 def _draw_curves(axes: Axes, some: Mapping[str, Correlations]) -> None:
-    """Draw the mean of C at frequencies spread evenly over those there are, from the lowest (dark) up."""
+    """Draw the mean of C at evenly spaced frequencies of the result, from the lowest (dark) on."""
     from matplotlib import colormaps
 
     for part, style in (("real", "-"), ("imaginary", "--")):
@@ -67,7 +66,7 @@ def _draw_curves(axes: Axes, some: Mapping[str, Correlations]) -> None:
 
 
 def _draw_lengths(axes: Axes, kinds: Mapping[Kind, Mapping[str, Correlations]]) -> None:
-    """Draw where the mean of C at peak stress crosses zero, with its error."""
+    """Draw the zero of the mean of C at peak stress, with its error."""
     for (law, prestress, n, p, _), some in kinds.items():
         mean = correlation_length(some, unstable=True)
         rising = np.argsort(mean.omega)

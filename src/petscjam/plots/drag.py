@@ -22,7 +22,7 @@ CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
 
 
 def drag_figure(results: Mapping[str, NonlinearModulus]) -> Figure:
-    """Draw G′, G″ and τ of every result: colours tell stress and exponent, dashes the form."""
+    """Draw G′, G″ and τ of every result: colours for stress and exponent, dashes for the form."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -65,7 +65,7 @@ def _draw(panels: Sequence[Axes], g: NonlinearModulus, shade: Any) -> None:
 
 
 def _guides(axes: Axes, alike: list[NonlinearModulus]) -> None:
-    """Draw the slopes beside G″ that are expected: quasi-static, and where G′ ≈ G″."""
+    """Draw the expected slopes next to G″: quasi-static, and for G′ ≈ G″."""
     first, last = min(alike, key=lambda g: g.stress), max(alike, key=lambda g: g.stress)
     if len(first.omega) < 3 or first.alpha == 1:
         return

@@ -1,4 +1,4 @@
-"""What the figures share: colours, and a file that is whole or absent."""
+"""Common parts of the figures: colours, and atomic writing."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
 
 def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] | None = None, dpi: float = 150) -> None:
-    """Write ``figure`` wholly or not at all.
+    """Write ``figure``, completely or not at all.
 
     Parameters
     ----------
     figure : Figure
     path : path
-        Its ending tells the format; PNG without one.
+        Its extension gives the format; PNG without one.
     results : dict, optional
-        Below the figure stands how many of them are of packings that are not in balance.
+        The number of those whose packing is not in balance is written below the figure.
     dpi : float
-        Pixels an inch.
+        Pixels per inch.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] |
 
 
 def solids(results: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """Return the results of stable packings, or all where none is, and a title that tells which."""
+    """Return the results of stable packings, or all if none is stable, and a title with this information."""
     stable = {name: r for name, r in results.items() if r.stable}
     title = f"{len(results)} result{'s' * (len(results) != 1)}"
     if not stable:
@@ -69,12 +69,12 @@ def solids(results: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
 
 
 def given(prestress: bool) -> str:
-    """Say whether there is pre-stress."""
+    """Return ``with pre-stress`` or ``without pre-stress``."""
     return f"with{'' if prestress else 'out'} pre-stress"
 
 
 def pressure_colours(pressures: Sequence[float]) -> Colours:
-    """Return the colour of a pressure: darker where it is lower."""
+    """Return the colour of a pressure: darker for lower pressure."""
     from matplotlib import colormaps
 
     low, high = np.log(min(pressures)), np.log(max(pressures))
@@ -89,7 +89,7 @@ def arrows(axes: Axes, x: Array, u: Array, **style: Any) -> None:
     axes
         Of matplotlib.
     x, u : (n, 2)
-        Where they start, and how far they reach.
+        Start and vector of each arrow.
     **style
         As for ``quiver``.
     """
@@ -97,7 +97,7 @@ def arrows(axes: Axes, x: Array, u: Array, **style: Any) -> None:
 
 
 def draw_cell(axes: Axes, box: Box, part: float = 1.0) -> None:
-    """Draw the edges of the cell, or of its middle.
+    """Draw the edges of the cell, or of its central part.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def draw_cell(axes: Axes, box: Box, part: float = 1.0) -> None:
         Of matplotlib.
     box : Box
     part : float
-        Length of the edges, over that of the cell.
+        Length of the edges, divided by that of the cell.
     """
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) - 0.5
     axes.plot(*(box.cell.sum(0) / 2 + part * corners @ box.cell).T, color="0.6", lw=0.8)

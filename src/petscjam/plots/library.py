@@ -1,4 +1,4 @@
-"""Figure of a library of packings: how contacts, density and the lowest frequency approach jamming.
+"""Figure of a library of packings: contacts, density and lowest frequency near jamming.
 
 Axes: k packing, m point (mean over the packings of one size and target pressure).
 """
@@ -39,7 +39,7 @@ class _Size:
     p: Array
     phi: Array
     excess: Array  # Z − Z_iso
-    eigenvalue: Array  # the lowest; NaN where it is not known
+    eigenvalue: Array  # the lowest; NaN if unknown
     sound: NDArray[np.bool_]  # False: known not to be a proved minimum
 
     @property
@@ -56,16 +56,16 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
     """Draw Z − Z_iso and φ − φJ against p, and the distribution of the lowest frequency, of a library.
 
     Large symbols are means over the packings of one N and target pressure, with standard errors; dots are
-    packings. Those that are judged and not proved minima are crosses, and count for nothing else. Those
-    without pressure or contacts are not jammed: they are counted in the title, and not drawn.
+    packings. Certified packings that are not proved minima are crosses and are not used otherwise. Packings
+    without pressure or contacts are not jammed: the title has their number, and they are not drawn.
 
-    Z_iso is that of :func:`petscjam.analysis.jamming.excess_contacts`; a packing with Z = Z_iso has no place on
-    a logarithmic axis. Overlaps of contacts of exponent α grow as p^a, a = 1/(α − 1), and so does φ − φJ;
-    Z − Z_iso grows as p^(a/2). This is fitted to the means :func:`petscjam.analysis.jamming.in_window`; its
-    error is that of the means, and does not know of the window. φJ of each N comes from
+    Z_iso is that of :func:`petscjam.analysis.jamming.excess_contacts`; a packing with Z = Z_iso cannot be drawn
+    on a logarithmic axis. Overlaps of contacts of exponent α grow as p^a, a = 1/(α − 1), and so does φ − φJ; Z −
+    Z_iso grows as p^(a/2). This is fitted to the means :func:`petscjam.analysis.jamming.in_window`; its error is
+    that of the means, without the dependence on the window. φJ of each N comes from
     :func:`petscjam.analysis.jamming.fit_phi_J`, with the exponent a. λ is the lowest eigenvalue of K with
-    pre-stress, ω = √λ the frequency of disks of unit mass; of each N and target the fraction of packings below
-    ω is drawn.
+    pre-stress, ω = √λ the frequency of disks of unit mass; for each N and target the fraction of packings below ω
+    is drawn.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def _draw_curves(
 
 
 def _span(curves: Sequence[tuple[_Size, Array, str]]) -> tuple[float, float]:
-    """Return the range of a logarithmic axis, with room for the legend above."""
+    """Return the range of a logarithmic axis, with room for the legend."""
     dots = np.concatenate([values for _, values, _ in curves])
     means = np.concatenate([size.mean(values)[0] for size, values, _ in curves])
     dots, means = dots[dots > 0], means[means > 0]
@@ -254,7 +254,7 @@ def _span(curves: Sequence[tuple[_Size, Array, str]]) -> tuple[float, float]:
 
 
 def _draw_lowest(panels: Sequence[Axes], sizes: Sequence[_Size], colour: Callable[..., Any]) -> None:
-    """Draw the fraction of packings whose lowest frequency lies below ω, for each N and target."""
+    """Draw the fraction of packings whose lowest frequency is below ω, for each N and target."""
     values = np.concatenate([size.eigenvalue[size.sound] for size in sizes])
     values = np.sqrt(values[values > 0]) if (values > 0).any() else np.ones(1)
     for axes, size in zip(panels, sizes, strict=True):

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 DRAWN = 4
-NAMED = 6  # packings, beyond which a legend says nothing
+NAMED = 6  # largest number of packings in a legend
 
 
 def modes_figure(results: Mapping[str, Modes]) -> Figure:
-    """Draw the lowest four modes of the first packing, and beside them the spectra of all packings."""
+    """Draw the lowest four modes of the first packing, and the spectra of all packings."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.6, 8.0), layout="constrained")
@@ -60,7 +60,7 @@ def relaxations_figure(results: Mapping[str, RelaxationModes]) -> Figure:
 
 
 def _draw_vectors(figure: FigureBase, m: Modes | RelaxationModes, titles: Sequence[str]) -> None:
-    """Draw modes as arrows, of the same mean length in each panel unless the longest would be too long."""
+    """Draw modes as arrows, with the same mean length in each panel unless the longest is too long."""
     packing, panels = m.geometry, figure.subplots(2, DRAWN // 2)
     x = packing.box.wrap(packing.positions)[m.disks]
     spacing = np.sqrt(packing.box.area / len(packing))

@@ -1,4 +1,4 @@
-"""Figures: G′ and G″ against frequency, and how the disks move (BT Fig. 1)."""
+"""Figures: G′ and G″ against frequency, and displacements of disks (BT Fig. 1)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
-    """Draw every result of a file; the displacement fields of the first that has them lie below."""
+    """Draw every result of a file, and below the displacement fields of the first result that has them."""
     from matplotlib.figure import Figure
 
     pictured = next((g for g in results.values() if len(g.field_omega)), None)
@@ -114,7 +114,7 @@ def _draw_means(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
 
 
 def _draw_errors(axes: Axes, model: Spectrum) -> None:
-    """Draw the bounds on the errors of G*, G′ and G″, and where K + iωB was factored."""
+    """Draw the bounds on the errors of G*, G′ and G″, and the frequencies of the factorisations."""
     omega = np.geomspace(*model.span, 801)
     storage, loss = model.part_errors(omega)
     axes.loglog(omega, storage, color=STORAGE, lw=0.8, label="$G'$")
@@ -145,7 +145,7 @@ def _draw_time(axes: Axes, model: Spectrum) -> None:
 
 
 def _guides(axes: Axes, g: ComplexModulus) -> None:
-    """Draw slopes 1 and ½ beside G″."""
+    """Draw slopes 1 and ½ next to G″."""
     spans = {1.0: g.omega.min() * np.array([30, 3e3]), 0.5: np.array([3e-3, 0.3])}
     for slope, span in spans.items():
         inside = span[1] < g.omega.max() and span[0] >= g.omega.min()
@@ -168,7 +168,7 @@ def draw_fields(figure: FigureBase, g: ComplexModulus, most: int = 2500) -> None
     g : ComplexModulus
         With fields.
     most : int
-        Disks; of a packing of more, its middle is drawn.
+        Largest number of disks; of a larger packing, the central part is drawn.
     """
     panels = figure.subplots(2, len(g.field_omega), squeeze=False)
     packing = g.geometry

@@ -1,4 +1,4 @@
-"""Figure of the quasi-static response: how contacts slide and disks leave the affine motion (BT Fig. 5).
+"""Figure of the quasi-static response: relative displacements at contacts, non-affine displacements (BT Fig. 5).
 
 Axes: i disk of the backbone, c contact, m pressure.
 """
@@ -29,8 +29,8 @@ STYLES = dict(zip(MOTIONS, ((STORAGE, "s"), (LOSS, "o"), ("#2e6b34", "^")), stri
 def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
     """Draw the distributions, medians and means against pressure, and the motion of the first packing.
 
-    Distributions pool the packings of one pressure. Filled symbols and solid lines are with pre-stress, open
-    ones and dashed lines without. Packings that are not stable are left out, unless none is.
+    Distributions pool the packings of one pressure. Filled symbols and solid lines are with pre-stress, open ones
+    and dashed lines without. Unstable packings are left out, unless all are unstable.
     """
     from matplotlib.figure import Figure
 
@@ -90,7 +90,7 @@ def _draw_scaling(axes: Axes, results: list[QuasistaticResponse]) -> None:
 
 
 def draw_field(axes: Axes, r: QuasistaticResponse) -> None:
-    """Draw u_na as arrows, the root mean square as long as 1.6 spacings of disks.
+    """Draw u_na as arrows; the root mean square has the length of 1.6 spacings of disks.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figure of a packing: disks, contact forces, rattlers; and of how its preparation went.
+"""Figure of a packing: disks, contact forces, rattlers; and of its preparation.
 
 Axes: i disk, c contact, x Cartesian, l lattice vector.
 """
@@ -22,30 +22,30 @@ if TYPE_CHECKING:
 
 SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
 RATTLER, CAGED = "#7a5c00", "#fbeeb8"
-OUTLINED = 20_000  # disks; more are drawn without outlines, and as pixels in vector formats
-FORCE_WIDTH = 0.11  # mean diameters, of a line that stands for the mean contact force
+OUTLINED = 20_000  # disks; larger packings are drawn without outlines, and as pixels in vector formats
+FORCE_WIDTH = 0.11  # mean diameters, width of the line of the mean contact force
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 VERDICTS = {None: ("not judged", "0.45"), True: ("proved minimum", STABLE), False: ("not proved", UNSTABLE)}
 
 
 def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
-    """Draw ``packing``: one cell of it, cut at the edges of the cell.
+    """Draw one cell of ``packing``, cut at its edges.
 
-    Contact forces are lines from centre to centre, as wide as the force. A contact or a disk that reaches
-    across an edge appears at the opposite one, too. Rattlers are yellow and dashed. With ``history`` in the
-    provenance — equally long lists ``evaluations`` (of the forces, so far), ``pressure``, ``force`` (the
-    largest on a disk) and ``phi`` — pressure, force and packing fraction are drawn beside it.
+    Contact forces are lines from centre to centre, with a width proportional to the force. A contact or a disk
+    across an edge is also drawn at the opposite edge. Rattlers are yellow and dashed. With ``history`` in the
+    provenance — equally long lists ``evaluations`` (of the forces, so far), ``pressure``, ``force`` (the largest
+    on a disk) and ``phi`` — pressure, force and packing fraction are drawn next to it.
 
     Parameters
     ----------
     packing : Packing
     path : path
-        Of the figure; its ending tells the format.
+        Of the figure; its extension gives the format.
 
     Raises
     ------
     InputError
-        If two disks coincide, or the figure cannot be written.
+        If two disks have the same position, or the figure cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -96,7 +96,7 @@ def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
     small, large = to_rgba_array([SMALL, LARGE])
     face = small + shade[:, None] * (large - small)
     face[~network.backbone] = to_rgba_array(CAGED)
-    pixels = 72 * size / extent * packing.mean_diameter  # points a disk is wide
+    pixels = 72 * size / extent * packing.mean_diameter  # width of a disk, points
     thin = min(0.8, 0.04 * pixels)
     for rattlers in (False, True):
         some = network.backbone[disk] != rattlers
@@ -119,11 +119,11 @@ def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
 
 
 def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
-    """Return lines from centre to centre, as wide as the contact force; a disk is ``pixels`` points wide."""
+    """Return lines from centre to centre, with widths proportional to the force; a disk is ``pixels`` points wide."""
     from matplotlib.collections import LineCollection
 
     middle = packing.positions[network.i] + network.r / 2
-    contact, middle = packing.box.images(middle, 1.5 * packing.radii.max())  # lines are wide
+    contact, middle = packing.box.images(middle, 1.5 * packing.radii.max())  # for the width of the lines
     half = network.r[contact] / 2
     strength = network.force / max(network.force.mean(), np.finfo(float).tiny)
     ends: Any = np.stack([middle - half, middle + half], axis=1)
@@ -132,7 +132,7 @@ def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
 
 
 def _caption(axes: Axes, packing: Packing, network: ContactNetwork, fontsize: float) -> None:
-    """Write what the packing is, and whether it is a proved minimum."""
+    """Write the title: the packing, and whether it is a proved minimum."""
     verdict, colour = VERDICTS[packing.certificate.proved]
     if not network.balanced:
         verdict, colour = f"not in balance: net forces reach {network.net_force:.2g} p·d", UNSTABLE
@@ -148,7 +148,7 @@ def _caption(axes: Axes, packing: Packing, network: ContactNetwork, fontsize: fl
 
 
 def _history(packing: Packing) -> dict[str, Array] | None:
-    """Return the history of the preparation as arrays; None without one, or with one that makes no sense."""
+    """Return the history of the preparation as arrays; None if there is none or it is invalid."""
     history = packing.provenance.get("history")
     names = ("evaluations", "phi", "pressure", "force")
     if not isinstance(history, Mapping) or not all(name in history for name in names):

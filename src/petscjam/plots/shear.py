@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
-DEFAULT = "harmonic-relative"  # VOT's: not told
+DEFAULT = "harmonic-relative"  # that of VOT, not in the title
 VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
 
 
@@ -128,7 +128,7 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
 
 
 def _draw_profiles(panels: Sequence[Axes], run: Run) -> None:
-    """Draw vx(y), its slope and φ(y) (VOT fig. 28), and two bands where they fit far better than one."""
+    """Draw vx(y), its slope and φ(y) (VOT fig. 28), and two bands if they fit much better than one."""
     p = profile(run)
     for axes, values, error, colour, label, mean in (
         (panels[0], p.vx, p.vx_error, STORAGE, r"$v_x(y)$  ($d_s/\tau_e$)", None),
@@ -163,7 +163,7 @@ def _draw_profiles(panels: Sequence[Axes], run: Run) -> None:
 
 
 def _two_bands(run: Run) -> Bands | None:
-    """Return the bands of the profile if two slopes leave less than a third of what one leaves."""
+    """Return the bands of the profile if the deviation of two slopes is less than a third of that of one."""
     p = profile(run)
     if len(p.y) < 8:
         return None
@@ -193,13 +193,13 @@ def _draw_angles(axes: Axes, run: Run) -> None:
 
 
 def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None:
-    """Draw how the velocities of contacts go together, mean and principal axes (VOT fig. 21)."""
+    """Draw the correlation of the velocities of contacts, mean and principal axes (VOT fig. 21)."""
     kept = blocks_after(run)
     points = run.blocks["scatter"][kept].reshape(-1, 4)
     points = points[np.isfinite(points).all(1)][:most]
     pairs = run.blocks["pairs"][kept].sum()
     for axes, (x, y) in zip(panels, ((1, 0), (1, 2), (2, 3)), strict=True):
-        if len(points) and not points[:, [x, y]].any(0).all():  # nothing rotates
+        if len(points) and not points[:, [x, y]].any(0).all():  # no rotations
             axes.set_axis_off()
             continue
         axes.set(xlabel=VELOCITIES[x], ylabel=VELOCITIES[y], aspect="equal")
@@ -243,7 +243,7 @@ def _draw_means(axes: Axes, run: Run) -> None:
 def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -> None:
     """Draw every disk in the colour of the packing fraction, and of the strain rate, around it (VOT fig. 27).
 
-    Colours span all but the outermost percents.
+    The range of colours leaves out the lowest and the highest per cent.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def _draw_disks(axes: Axes, state: State, values: Array, colours: str, disk: Any
 
 
 def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
-    """Draw Σ and P against the strain rate as it goes up (filled) and down (open) (VOT fig. 31).
+    """Draw Σ and P against the strain rate, increasing (filled) and decreasing (open) (VOT fig. 31).
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
     from matplotlib.figure import Figure
 
     if run.settings.protocol != "ramp":
-        raise InputError(f"plot: the run is no ramp, but of the protocol {run.settings.protocol!r}")
+        raise InputError(f"plot: the run is not a ramp, but of the protocol {run.settings.protocol!r}")
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     panels = figure.subplots(1, 2)
     rate = np.abs(run.rate)
@@ -334,7 +334,7 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
 
 
 def _draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
-    """Draw slope 2 below the slow end and slope 1 above the fast one: Bagnoldian and Newtonian flow."""
+    """Draw slope 2 at low rates and slope 1 at high rates: Bagnoldian and Newtonian flow."""
     low, high = rate.min(), rate.max()
     span = (high / low) ** 0.35
     for slope, anchor, at, factor, side in ((2, low, span, 0.5, -1), (1, high, 1 / span, 2.0, 1)):
@@ -379,9 +379,9 @@ CURVES: tuple[tuple[str, str, Callable[[Run], Any]], ...] = (
 def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
     """Draw flow curves of steady runs (VOT figs. 1, 2, 12, 16, 20 and 22–24).
 
-    The abscissa is whichever of strain rate, Q and φ takes the most values; each combination of the others,
-    of models and of sizes is a curve. A point is the time mean over the last three quarters of a run, and
-    its error; of several runs alike, their mean and its standard error.
+    The abscissa is the one of strain rate, Q and φ with the most values; each combination of the others, of
+    models and of sizes is a curve. A point is the time mean over the last three quarters of a run with its error;
+    for several runs with equal settings, their mean and its standard error.
 
     Parameters
     ----------
@@ -400,7 +400,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
         raise InputError("plot: there are no runs")
     for name, run in runs.items():
         if run.settings.protocol != "steady":
-            raise InputError(f"plot: {name} is no steady run, but a {run.settings.protocol}")
+            raise InputError(f"plot: {name} is not a steady run, but a {run.settings.protocol}")
     x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
     others = [key for key in ("model", "potential", "particles", "phi", "Q", "rate") if key != x]
     curves: dict[tuple[Any, ...], dict[float, list[Run]]] = {}
@@ -422,7 +422,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
     for axes, (name, scale, _) in zip(panels, shown, strict=True):
         axes.set(xscale=AXES[x][1], xlabel=f"${AXES[x][0]}$", title=name)
         y = np.concatenate([bars[0].get_ydata() for bars in axes.containers])
-        if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # ticks are poor on less than that
+        if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # smallest range with good ticks
             axes.set_yscale("log", nonpositive="mask")
     same = [_parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ and kind[k] != DEFAULT]
     figure.suptitle(", ".join(same), fontsize=12)
@@ -435,7 +435,7 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
 
 
 def _setting(run: Run, key: str) -> Any:
-    """Return a setting, to six digits: packing fractions are as exact as cells are."""
+    """Return a setting to six digits, because packing fractions have the rounding errors of cells."""
     value = run.settings.attributes[key]
     return float(f"{value:.6g}") if key in AXES else value
 

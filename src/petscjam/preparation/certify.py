@@ -1,7 +1,7 @@
-"""Judge a packing: residual forces, stress, and whether it is a minimum of the energy.
+"""The certificate of a packing: residual forces, stress, and whether it is a minimum of the energy.
 
-Force balance is half of a proof. The other half is a count of the modes of K with pre-stress: SLEPc gives
-the lowest eigenvalues, and the pivots of one LDLᵀ of K − σ, σ above these, say that none was missed.
+Force balance is one part of the proof. The other part is a count of the modes of K with pre-stress: SLEPc gives
+the lowest eigenvalues, and the pivots of one LDLᵀ of K − σ, σ above these, show that none was missed.
 
 Axes: i disk of the backbone, x Cartesian, s strain.
 """
@@ -41,7 +41,7 @@ def hessian(network: ContactNetwork, prestress: bool = True) -> csc_array:
     Raises
     ------
     InputError
-        If there is no backbone, or it falls apart into pieces.
+        If there is no backbone, or it is not connected.
     """
     return _elasticity(network, prestress, [SIMPLE_SHEAR])[0]
 
@@ -77,7 +77,7 @@ def negative_modes(packing: Packing | ContactNetwork, prestress: bool = True) ->
 def count_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tuple[int, int]:
     """Count the negative and the zero eigenvalues of K_uu on the backbone, one disk pinned.
 
-    Zero is what lies within a shift that is a little more than the factorisation can round. Without
+    Eigenvalues within a shift slightly larger than the rounding error of the factorisation count as zero. Without
     pre-stress K is a sum of squares, and none is negative.
 
     Parameters
@@ -100,7 +100,7 @@ def count_modes(packing: Packing | ContactNetwork, prestress: bool = True) -> tu
 
 
 def _pinned(packing: Packing | ContactNetwork, prestress: bool) -> tuple[csc_array, float]:
-    """Return K_uu of the backbone without its first disk, and what counts as zero in it."""
+    """Return K_uu of the backbone without its first disk, and the largest eigenvalue that counts as zero."""
     network = packing if isinstance(packing, ContactNetwork) else ContactNetwork.of(packing)
     K = hessian(network, prestress)[2:, 2:]
     return K, _zero(K)
@@ -111,7 +111,7 @@ def _zero(K: csc_array) -> float:
 
 
 def _count_below(K: csc_array, sigma: float) -> int:
-    """Count the eigenvalues below ``sigma``, or within a fifth of it where the factorisation at ``sigma`` fails."""
+    """Count the eigenvalues below ``sigma``, or within a fifth of it if the factorisation at ``sigma`` fails."""
     for factor in (1.0, 0.9, 1.1, 0.8):
         with suppress(SolverError):
             return pivots_below(K, factor * sigma, abs(sigma))
@@ -119,9 +119,9 @@ def _count_below(K: csc_array, sigma: float) -> int:
 
 
 def dependent_rows(K: csc_array) -> Integers:
-    """Return rows that leave a regular matrix when they go: one for each zero mode of a semi-definite ``K``.
+    """Return rows whose removal makes the matrix regular: one for each zero mode of a semi-definite ``K``.
 
-    LDLᵀ has a pivot of zero where a row depends on those before it.
+    LDLᵀ has a zero pivot if a row depends on those before it.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def below_all(K: csc_array) -> float:
     while shift > lowest:
         with suppress(SolverError):
             if _count_below(K, shift) == 0:
-                return 1.2 * shift  # the count may be one below that
+                return 1.2 * shift  # the count may be smaller by one
         shift *= 4
     return lowest
 
@@ -149,23 +149,25 @@ def below_all(K: csc_array) -> float:
 def pivots_below(K: csc_array, sigma: float, room: float) -> int:
     """Count the eigenvalues below ``sigma``: the pivots of LDLᵀ of K − σ have their signs (Sylvester).
 
-    Those within rounding of ``sigma`` count or do not.
+    Those within the rounding error of ``sigma`` may be counted or not.
 
     Parameters
     ----------
     K : sparse (n, n)
     sigma : float
     room : float
-        Largest error of the eigenvalues that the factorisation may make.
+        Largest allowed error of the eigenvalues by the factorisation.
 
     Raises
     ------
     SolverError
-        If the factorisation fails, or rounds by more than ``room``.
+        If the factorisation fails, or its rounding error exceeds ``room``.
     """
     below, rounding = negative_pivots(K - _diagonal(np.full(K.shape[0], sigma)))
     if rounding > room:
-        raise SolverError(f"the factorisation of K − {sigma:.1e} rounds by up to {rounding:.1e}, more than {room:.1e}")
+        raise SolverError(
+            f"the factorisation of K − {sigma:.1e} has rounding errors up to {rounding:.1e}, more than {room:.1e}"
+        )
     return below
 
 
@@ -176,7 +178,7 @@ def _diagonal(values: Array) -> dia_array:
 
 
 def negative_pivots(A: csc_array) -> tuple[int, float]:
-    """Return the number of negative pivots of LDLᵀ of ``A``, and a bound on the norm of what it rounds.
+    """Return the number of negative pivots of LDLᵀ of ``A``, and a bound on the norm of its rounding error.
 
     Raises
     ------
@@ -188,7 +190,7 @@ def negative_pivots(A: csc_array) -> tuple[int, float]:
 
 
 def pivots(A: csc_array) -> tuple[Array, float]:
-    """Return the pivot D of each row in LDLᵀ of ``A``, and a bound on the norm of what it rounds.
+    """Return the pivot D of each row in LDLᵀ of ``A``, and a bound on the norm of its rounding error.
 
     Raises
     ------
@@ -214,12 +216,12 @@ def pivots(A: csc_array) -> tuple[Array, float]:
 
 @dataclass(frozen=True, eq=False)
 class Instability:
-    """A motion along which the energy (or, with strain, the enthalpy) falls.
+    """A motion along which the energy (or, with strain, the enthalpy) decreases.
 
     Attributes
     ----------
     displacement : (N, 2)
-        Of every disk, beyond the affine motion.
+        Non-affine displacement of every disk.
     strain : (2, 2)
         F − 1.
     """
@@ -231,16 +233,16 @@ class Instability:
 def lowest_eigenpairs(
     K: csc_array, count: int = EIGENVALUES, *, shift: float | None = None
 ) -> tuple[Array, Array, Array, bool | None]:
-    """Return the lowest eigenpairs of K, translations left out, and a proof that none is missing.
+    """Return the lowest eigenpairs of K without translations, and a proof that none is missing.
 
-    If one is missing, the search goes on from below all eigenvalues.
+    If one is missing, the search is repeated from below all eigenvalues.
 
     Parameters
     ----------
     K : sparse (2n, 2n)
     count : int
     shift : float
-        The search is for the eigenvalues nearest to it; left out, a little below zero.
+        The search is for the eigenvalues nearest to it; default: slightly below zero.
 
     Returns
     -------
@@ -293,14 +295,14 @@ def lowest_eigenpairs(
 
 
 def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
-    """Second derivative of the energy of relaxed disks with respect to F, and how the disks relax.
+    """Second derivative of the energy of relaxed disks with respect to F, and the relaxation of the disks.
 
     Returns
     -------
     C : (4, 4)
         Per area, in the order xx, xy, yx, yy of F.
     u : (n, 2, 4)
-        Non-affine motion of the backbone per unit of each, its first disk at rest.
+        Non-affine motion of the backbone per unit of each entry of F, its first disk at rest.
     """
     from mpi4py import MPI
 
@@ -324,9 +326,9 @@ def elastic_tensor(network: ContactNetwork) -> tuple[Array, Array]:
 def softest_shear(C: Array) -> float:
     """Lowest modulus of simple shear F = 1 + γ m⊗n, m ⟂ n, over all directions, of C (4, 4).
 
-    As in Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703: a packing is stable against shear if it is in
-    every direction. The modulus is a trigonometric polynomial of degree 4 in the angle, so 720 angles show
-    its minimum to 1e-4 of its variation.
+    As in Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703: a packing is stable against shear if it is stable in
+    every direction. The modulus is a trigonometric polynomial of degree 4 in the angle, so 720 angles give its
+    minimum to 1e-4 of its variation.
     """
     angle = np.linspace(0, np.pi, 720, endpoint=False)
     m, n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
@@ -335,19 +337,20 @@ def softest_shear(C: Array) -> float:
 
 
 def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
-    """Return ``packing`` with a certificate of what is measured on it, and the verdict.
+    """Return ``packing`` with its certificate.
 
     It is a proved minimum if the forces balance to max(1e-10·p·d, 4·ε·k·L), the pressure is within
-    max(1e-9·p, 4·ε·k·L/d) of the target, K with pre-stress on the backbone has no negative mode and none at
-    zero but the translations, and its lowest eigenvalue exceeds ten times its residual. A packing that was
-    stabilised against shear must also have an isotropic pressure tensor, to the same tolerance, and resist
-    shear in every direction. Where the modes cannot be computed, their number is None, and nothing is proved.
+    max(1e-9·p, 4·ε·k·L/d) of the target, K with pre-stress on the backbone has no negative mode and no zero mode
+    except the translations, and its lowest eigenvalue exceeds ten times its residual. A packing that was
+    stabilised against shear must also have an isotropic pressure tensor, to the same tolerance, and a positive
+    shear modulus in every direction. If the modes cannot be computed, their number is None, and the packing is
+    not proved.
 
     Parameters
     ----------
     packing : Packing
     target_pressure : float
-        Left out: no pressure is asked of it.
+        Default: no target.
 
     Raises
     ------
@@ -374,7 +377,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
     K = hessian(network)
     pressure, diameter = network.pressure, packing.mean_diameter
     if not pressure > 0:
-        raise InputError("packing: no contact bears a force; it is not jammed")
+        raise InputError("packing: no contact has a force; it is not jammed")
     floor = network.rounding_force
     anisotropy = float(abs(network.stress - pressure * np.eye(2)).max())
     miss = 0.0 if target_pressure is None else abs(pressure - target_pressure)
@@ -419,7 +422,7 @@ def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packi
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """The lowest modes of K, and how many are negative and zero, translations left out; None: not known."""
+    """The lowest modes of K, and the numbers of negative and zero ones, without translations; None: unknown."""
 
     values: Array
     vectors: Array
@@ -429,7 +432,7 @@ class _Modes:
 
 
 def _modes(network: ContactNetwork, K: csc_array) -> _Modes:
-    """Find the lowest modes and count; that they are the lowest does where they are well above zero."""
+    """Find the lowest modes and count; no further count is needed if the lowest is well above zero."""
     try:
         values, vectors, residuals, complete = lowest_eigenpairs(K)
         negative = zero = 0

@@ -1,4 +1,4 @@
-"""Prepare packings: random disks, minimised at a target pressure (BT sec. 2.1), proved, and prepared again.
+"""Prepare packings: random disks, minimised at a target pressure (BT sec. 2.1) and certified.
 
 Axes: i disk, x Cartesian.
 """
@@ -30,13 +30,13 @@ from petscjam.preparation.records import Goal
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
 PUSHES = 1000
-BYTES_PER_DISK = 3000  # disks, pairs, and the factor that proves a minimum
+BYTES_PER_DISK = 3000  # disks, pairs, and the factor of the certificate
 BUDGET = 2_000_000
-ESCAPES = 20  # times that a negative mode is followed downhill
+ESCAPES = 20  # largest number of times that a negative mode is followed
 ADJUSTMENTS = 10  # of the cell, at the end
 ROUNDING = 4.0  # forces in another cell than a packing's own, in units of those in its own
-HISTORY = 200  # points kept of the history of a preparation
-DIGITS = 1e6  # forces are to stand out from rounding by as much
+HISTORY = 200  # stored points of the history of a preparation
+DIGITS = 1e6  # smallest ratio of forces to rounding errors
 
 
 @deferred()
@@ -58,9 +58,9 @@ def prepare_packing(
     """Return a packing of ``n`` disks in mechanical equilibrium at ``pressure``, with its certificate.
 
     Positions are uniformly random in a square cell, ``default_rng(seed).random((n, 2))`` in units of the
-    cell, small disks first; the mean diameter is d = 1. The energy is minimised at constant volume, near
-    the density at which quenches have the target pressure; then :func:`relax_packing` goes on. The same
-    arguments give the same packing, whatever ``threads`` is.
+    cell, small disks first; the mean diameter is d = 1. The energy is minimised at constant volume, near the
+    density at which quenches have the target pressure; then :func:`relax_packing` continues. The same arguments
+    give the same packing, for any number of ``threads``.
 
     Parameters
     ----------
@@ -70,30 +70,31 @@ def prepare_packing(
         Target, in units of k (the spring constant of two disks whose radii add up to d).
     seed : int
     shear_stabilised : bool
-        Whether the shape of the cell relaxes, too: the packing ends without shear stress, stable against
-        shear in every direction (Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703).
+        Whether the shape of the cell relaxes, too: the packing has no shear stress and is stable against shear in
+        every direction (Dagois-Bohy et al., Phys. Rev. Lett. 109, 095703).
     method : "fire" or "cg"
     potential_name : str
         A name from :data:`petscjam.geometry.potential.POTENTIALS`.
     ratio : float
-        Diameter of the large disks over that of the small ones.
+        Diameter of the large disks divided by that of the small ones.
     composition : float
-        Share of small disks by number, in [0, 1]; rounded up to whole disks.
+        Number fraction of small disks, in [0, 1]; rounded up to whole disks.
     polydispersity : float
-        Standard deviation over mean of the diameters of each kind (normal, cut at three of them).
+        Standard deviation over mean of the diameters of each kind (normal distribution, cut at three standard
+        deviations).
     threads : int
-        Worth while from some ten thousand disks on.
+        Useful from about ten thousand disks on.
     budget : int
         Evaluations of the force.
     progress : callable, optional
-        Called now and then with the fraction done, in [0, 1], and a line of text.
+        Called regularly with the completed fraction, in [0, 1], and a line of text.
 
     Raises
     ------
     InputError
         On an argument out of range.
     SolverError
-        If forces and pressure do not reach their tolerances within the budget. (A packing that does, but
+        If forces and pressure do not reach their tolerances within the budget. (A packing that reaches them, but
         is not proved a minimum within the budget, is returned with ``certificate.proved = False``.)
     """
     check(
@@ -126,7 +127,7 @@ def prepare_packing(
     start = Packing(x @ box.cell, radii, box, potential_name, provenance=made_by)
     record = _Record(budget, progress)
     energy = Enthalpy(start, threads=threads, budget=budget, report=record)
-    # A box let go before the disks have settled overshoots, and the way back along soft modes is long.
+    # If the box relaxes before the disks have settled, it overshoots, and the return along soft modes is slow.
     z = METHODS[method](energy, energy.start, Goal(1e-2 * pressure, 1e-2, 0.0))
     record.close(energy)
     return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, record)
@@ -147,8 +148,8 @@ def relax_packing(
 
     FIRE or conjugate gradients lead to where Newton's method converges. Then K is judged
     (:func:`petscjam.certify`); a negative mode is followed downhill, and minimisation goes on until the minimum
-    is proved or the budget is spent. It ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and the pressure
-    (stabilised: the pressure tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target.
+    is proved or the budget is spent. The minimisation ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and
+    the pressure (stabilised: the pressure tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ def _relaxed(
         except SolverError:
             if judged is None:
                 raise
-            break  # the budget is spent: the last one balances its forces, but is not proved
+            break  # the budget is used up: the forces of the last one balance, but it is not proved
         judged, way_down = judge(packing, pressure)
         if way_down is None:
             break
@@ -209,7 +210,7 @@ def _minimum(
     record: _Record,
     way_down: Instability | None,
 ) -> Packing:
-    """Minimise from ``packing``, or from a little way down along a motion that lowers the energy."""
+    """Minimise from ``packing``, or from a point along a motion that decreases the energy."""
 
     def energy(packing: Packing, pressure: float | None) -> Enthalpy:
         return Enthalpy(
@@ -237,8 +238,8 @@ def _minimum(
         closeness = min(closeness, 1e-2 * h.now.force / (h.pressure * h.diameter))
     z = METHODS[method](h, z, near(h, closeness))
     packing = _free_rattlers(descended(h, z, ROUNDING, closeness))
-    # In a cell other than its own a packing is rounded more. So the forces are relaxed once more in the
-    # final cell; that may cost a little pressure, and the cell has to be adjusted again.
+    # In a cell other than its own a packing has larger rounding errors. So the forces are relaxed again in the
+    # final cell; this may change the pressure slightly, and then the cell has to be adjusted again.
     for _ in range(ADJUSTMENTS):
         h = energy(packing, pressure)
         h.gradient(h.start)
@@ -252,9 +253,9 @@ def _minimum(
 
 
 def _goal(h: Enthalpy, z: Array) -> Goal:
-    """Return goals below the promised tolerances, for forces computed again from the file round differently.
+    """Return goals below the documented tolerances, because forces computed from the file have other rounding errors.
 
-    The floor is the force that positions in double precision leave on a disk.
+    The floor is the force on a disk by rounding of positions in double precision.
     """
     floor = 0.8 * ContactNetwork.of(h.at(z)).rounding_force
     error = max(0.5e-9 * (h.target or 0.0), floor / h.diameter)
@@ -264,8 +265,8 @@ def _goal(h: Enthalpy, z: Array) -> Goal:
 class _Record:
     """Budget, progress and history of a preparation that has several stages.
 
-    Disks whose pressure falls below ``least`` are not jammed: as contacts open, forces and pressure fall together,
-    and a goal in units of the pressure is never reached.
+    Disks whose pressure decreases below ``least`` are not jammed: as contacts open, forces and pressure decrease
+    together, and a goal in units of the pressure is never reached.
     """
 
     least = 0.0
@@ -288,7 +289,7 @@ class _Record:
         self._say(f"largest force {h.now.force:.1e}, pressure {h.pressure:.4e}")
 
     def finish(self, packing: Packing) -> None:
-        """Say how it ended."""
+        """Report the end of the preparation."""
         self._done = 1.0
         c = packing.certificate
         self._say(f"largest force {c.max_force:.1e} p·d, {'' if c.proved else 'not '}proved")
@@ -322,10 +323,10 @@ class _Record:
 
 
 def _free_rattlers(packing: Packing) -> Packing:
-    """Return the packing without rattlers that rest on a neighbour, where their cages leave them room.
+    """Return the packing with rattlers moved away from their neighbours, if there is room.
 
-    A minimiser leaves rattlers with overlaps of the order of rounding, and it would be rounding that
-    decides whether they are in contact. They are pushed off by GAP.
+    After a minimisation rattlers have overlaps of the order of rounding errors, which would determine whether
+    they are in contact. So they are moved away by GAP.
     """
     from petscjam.geometry.neighbours import pairs
 
@@ -366,7 +367,7 @@ def check(n: int, pressure: float, seed: int, **others: Any) -> None:
     n, pressure, seed
         As for :func:`prepare_packing`.
     **others
-        Keyword arguments of it; those left out are taken to be right.
+        Its keyword arguments; missing ones are not checked.
     """
     ranges.PREPARED.check("prepare: the number of disks", n)
     if not isinstance(pressure, Real):
@@ -408,7 +409,7 @@ def check_relaxation(
         raise InputError(f"prepare: the pressure must be above 0 and below {0.5 * unit:.3g}, not {shown(pressure)}")
     elif pressure < (lowest := 4e6 * float(np.finfo(float).eps) * n**0.5 * unit):
         raise InputError(
-            f"prepare: at a pressure of {shown(pressure)} rounding leaves more than 1e-6 of the forces "
+            f"prepare: at a pressure of {shown(pressure)} rounding errors exceed 1e-6 of the forces "
             f"between {n} disks; the lowest is {lowest:.1e}"
         )
     if method not in METHODS:

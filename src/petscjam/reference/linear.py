@@ -1,7 +1,7 @@
-"""The slow twin: contacts, K, B and G* by plain loops and dense algebra.
+"""The slow twin: contacts, K, B and G* with plain loops and dense algebra.
 
-Written apart from the fast code, for tests and to be read beside the paper. Nothing here is imported
-by the solver. Degrees of freedom: u of every disk (2N), θ of every disk (N), the strain γ last.
+Written independently of the fast code, for tests and to be read together with the paper. The solver does not use
+it. Degrees of freedom: u of every disk (2N), θ of every disk (N), the strain γ last.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Contact(NamedTuple):
-    """Disks i and j, and the vector (rx, ry) from i to the image of j that it touches."""
+    """Disks i and j, and the vector (rx, ry) from i to the image of j in contact with it."""
 
     i: int
     j: int
@@ -42,7 +42,7 @@ def contacts(positions, radii, cell, potential, images=3):
             for a in range(-images, images + 1):
                 for b in range(-images, images + 1):
                     if i == j and (a, b) <= (0, 0):
-                        continue  # an image of itself counts once
+                        continue  # a contact with its own image counts once
                     rx = positions[j][0] - positions[i][0] + a * cell[0][0] + b * cell[1][0]
                     ry = positions[j][1] - positions[i][1] + a * cell[0][1] + b * cell[1][1]
                     sigma = radii[i] + radii[j]
@@ -55,7 +55,7 @@ def contacts(positions, radii, cell, potential, images=3):
 
 
 def without_rattlers(found, n):
-    """Drop, again and again, the contacts of disks that have fewer than three.
+    """Remove, repeatedly, the contacts of disks with fewer than three.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def rows(c, radii, strain, arms):
 
 
 def hessian(found, radii, strain="simple-shear", prestress=True):
-    """Return K, (3N + 1, 3N + 1): BT eqs. 4 and 11, with the curvature of F where F is not linear.
+    """Return K, (3N + 1, 3N + 1): BT eqs. 4 and 11, with the curvature of F if F is not linear.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def stokes_drag(n, area, eta_fluid, strain="simple-shear"):
 def modulus(K, B, omega, area):
     """Return G*(ω): solve (K + iωB) Q = e_γ (BT eq. 12) in the least-squares sense, G*V = 1/Q_γ.
 
-    Free motions (translations, rotations that nothing resists) drop out of the least-squares solution.
+    Free motions (translations, rotations without resistance) do not enter the least-squares solution.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def modulus(K, B, omega, area):
 
 
 def stokes_modal_sum(K, omega, area, eta_fluid):
-    """Return G*(ω) under Stokes drag from the modes of K_uu, by hand.
+    """Return G*(ω) under Stokes drag from the modes of K_uu.
 
     G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω)) + iω ηF.
 

@@ -1,7 +1,7 @@
-"""The slow twin of the molecular dynamics: forces, stress, energy and one time step by plain loops.
+"""The slow twin of the molecular dynamics: forces, stress, energy and one time step with plain loops.
 
-Written apart from the fast code, for tests and to be read beside VOT. Every pair of disks and every image are
-tried at each evaluation. Units: ds, m, τe. Functions take a ``State`` and a ``Model``; ``masses`` are one
+Written independently of the fast code, for tests and to be read together with VOT. Each evaluation tests every
+pair of disks and every image. Units: ds, m, τe. Functions take a ``State`` and a ``Model``; ``masses`` are one
 number, or one for each disk.
 """
 
@@ -17,7 +17,7 @@ from petscjam.base.types import Array
 
 
 class Contact(NamedTuple):
-    """Disk i, the image of disk j that it touches, and what they do to each other.
+    """Disk i, the image of disk j in contact with it, and their forces.
 
     ``r`` and ``v`` are r_ij = r_i − r_j and v_ij; ``elastic`` and ``dissipative`` the forces on i from j.
     """
@@ -160,10 +160,10 @@ def pressure_tensor(state, model, masses=1.0):
 
 
 def dissipation(state, model):
-    """Return the power turned into heat, by contacts, by drag, and in the fluid between the disks.
+    """Return the dissipated power: of contacts, of drag, and of the fluid between the disks.
 
-    With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the
-    couple that holds the fluid's vorticity.
+    With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the couple
+    that maintains the vorticity of the fluid.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def inertia(state, masses=1.0):
 
 
 def energy(state, model, masses=1.0):
-    """Return elastic (VOT eq. 1), peculiar kinetic and rotational energy, together.
+    """Return the sum of elastic (VOT eq. 1), peculiar kinetic and rotational energy.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def heun_step(state, model, dt, masses=1.0):
 def single_step(state, model, dt, before, masses=1.0):
     """Return the state after one step and its ``accelerations``; ``before`` are those of the last step.
 
-    One evaluation a step: v̂ = v + f dt, x + v dt + f dt²/2, f′ of these, v + (f + f′) dt/2.
+    One evaluation in each step: v̂ = v + f dt, x + v dt + f dt²/2, f′ of these, v + (f + f′) dt/2.
 
     Parameters
     ----------

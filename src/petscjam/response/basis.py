@@ -24,11 +24,11 @@ from petscjam.rows.kinematics import Motion, translations
 if TYPE_CHECKING:
     from petsc4py.PETSc import Mat
 
-NEW = 1e-10  # part of a vector outside the others, below which it is rounding
+NEW = 1e-10  # relative component of a vector outside the others, below which it is a rounding error
 
 
 class ReducedBasis:
-    """A growing basis, and each form of ``pencil`` between its motions; ``solver`` holds the factor of a node.
+    """A growing basis, and each form of ``pencil`` between its motions; ``solver`` has the factor of a node.
 
     Attributes
     ----------
@@ -47,13 +47,13 @@ class ReducedBasis:
         self.forces: list[Array] = []
         self.residual = 0.0
         self._offset: Array | None = None
-        self._blocks: list[Array] = []  # columns, a block for each node: never copied
+        self._blocks: list[Array] = []  # columns, a block for each node, to avoid copies
         self._free = self._resisted_translations()
 
     def solve(self, rhs: Complex, drag: Array | float = 0.0) -> Complex:
-        """Solve with the present factor, and remove what rounding adds to the solution.
+        """Solve with the current factor, and remove the error by rounding from the solution.
 
-        K does not resist a translation e, so eᵀ(Bx + drag) = 0; at low ω rounding would exceed that.
+        K does not resist a translation e, so eᵀ(Bx + drag) = 0; at low ω rounding errors would violate this.
 
         Parameters
         ----------
@@ -88,13 +88,13 @@ class ReducedBasis:
         problem = self.problem
         Q: Motion = (self.pencil.dofs.gather(self._offset, problem.comm), [1.0])
         for form, matrix, coupling in zip(self.pencil.forms, self.pencil.matrices, self.coupling, strict=True):
-            # a sum over contacts, where nothing cancels
+            # a sum over contacts, without cancellation
             self.reduced.append(np.array([[problem.product(form, Q, Q).real]]))
             self.forces.append(coupling + self.apply(matrix, self._offset.astype(complex)).real)
         return [q.imag]
 
     def extend(self, vectors: list[Array]) -> list[Array]:
-        """Add the part of ``vectors`` outside the basis to it; return each form times what was added, (n, new)."""
+        """Add the part of ``vectors`` outside the basis to it; return each form times the added motions, (n, new)."""
         fresh = self._orthonormal(vectors)
         products = [apply_real(matrix, fresh) for matrix in self.pencil.matrices]
         for k, (product, force) in enumerate(zip(products, self.forces, strict=True)):
@@ -121,7 +121,7 @@ class ReducedBasis:
         return fresh
 
     def outside(self, v: Array, *further: Array) -> Array:
-        """Return ``v`` less its part along the motions, and along the columns of ``further``."""
+        """Return ``v`` without its components along the motions and along the columns of ``further``."""
         for block in (*self._blocks, *further):
             v = v - block @ self.dot(block, v)
         return v
@@ -176,7 +176,7 @@ class ReducedBasis:
         return np.concatenate([none, *(self.dot(block, force) for block in self._blocks)])
 
     def dot(self, a: NDArray[Any], b: NDArray[Any]) -> Any:
-        """Return aᵀb over all ranks, nothing conjugated.
+        """Return aᵀb over all ranks, without conjugation.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """K and B as distributed complex PETSc matrices on one sparsity pattern, and their combinations.
 
-Each rank builds the rows it owns from the contacts that touch its disks; nothing is communicated.
+Each rank builds its own rows from the contacts of its disks, without communication.
 
 Axes: a row of a contact, s strain mode.
 """
@@ -29,7 +29,7 @@ from petscjam.rows.kinematics import Form
 if TYPE_CHECKING:
     from petsc4py.PETSc import Mat, Vec
 
-ROUNDING = 1e-14  # what is left of entries that cancel, of the largest one
+ROUNDING = 1e-14  # size of entries that cancel, relative to the largest one
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Pencil:
     coupling : tuple of (local rows, S) arrays
         This rank's rows of K_uγ, B_uγ, ….
     vectors : (PETSc.Vec, PETSc.Vec)
-        To work with: a column and a row of A.
+        Work vectors: a column and a row of A.
     """
 
     dofs: Dofs
@@ -69,12 +69,12 @@ class Pencil:
 
     @property
     def k(self) -> NDArray[Any]:
-        """Rows of K_uγ that belong to this rank."""
+        """Rows of K_uγ of this rank."""
         return self.coupling[0]
 
     @property
     def b(self) -> NDArray[Any]:
-        """Rows of B_uγ that belong to this rank."""
+        """Rows of B_uγ of this rank."""
         return self.coupling[1]
 
     def combine(self, *coefficients: complex) -> Mat:
@@ -89,7 +89,7 @@ class Pencil:
 
 @contextmanager
 def assembled(K: Form, B: Form, dofs: Dofs, comm: Comm, *further: Form) -> Iterator[Pencil]:
-    """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed on leaving the context.
+    """Assemble this rank's rows of ``K`` and ``B``; the matrices are destroyed at the end of the context.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Comm, *further: Form) -> Itera
     dofs : Dofs
     comm : MPI communicator
     *further : Form
-        They must have no entry where K + iB has none.
+        Their pattern must be inside that of K + iB.
     """
     with stage("assemble"):
         pencil = _assemble((K, B, *further), dofs, comm)
@@ -110,13 +110,13 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Comm, *further: Form) -> Itera
 def solving(
     problem: LinearProblem, progress: Report | None = None, *further: Form, **solver_options: Any
 ) -> Iterator[tuple[Pencil, DirectSolver]]:
-    """Give K, B and ``further`` forms on the active unknowns of ``problem``, and a solver for their combinations.
+    """Yield K, B and ``further`` forms on the active unknowns of ``problem``, and a solver for their combinations.
 
     Parameters
     ----------
     problem : LinearProblem
     progress : callable
-        Called with 0 and what the factor needs, before any work.
+        Called with 0 and the memory of the factor, before the computation.
     *further : Form
         As for :func:`assembled`.
     **solver_options
@@ -149,7 +149,7 @@ def _assemble(forms: tuple[Form, ...], dofs: Dofs, comm: Comm) -> Pencil:
 
 
 def _on_pattern(rows: csr_array, pattern: csr_array) -> NDArray[Any]:
-    """Return the values of ``rows`` at the entries of ``pattern``, which has all of theirs."""
+    """Return the values of ``rows`` at the entries of ``pattern``, which contains their pattern."""
     width = rows.shape[1]
     places, wanted = (
         np.repeat(np.arange(part.shape[0]) * width, np.diff(part.indptr)) + part.indices for part in (rows, pattern)

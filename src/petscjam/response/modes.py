@@ -1,4 +1,4 @@
-"""Low modes: the softest motions of K, and what each adds to the quasi-static response.
+"""Low modes: the softest motions of K, and the contribution of each to the quasi-static response.
 
 Axes: m mode, i disk of the backbone, c contact of the backbone, x Cartesian.
 """
@@ -33,11 +33,11 @@ from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.rows.kinematics import contact_rows, displacements, strain_mode, translations
 
-BELOW = 1e-6  # how far below zero the shift lies, of the largest stiffness
-LARGEST_DENSE, MANY = 5000, 0.1  # unknowns up to which LAPACK is faster, if this share of modes is wanted
+BELOW = 1e-6  # distance of the shift below zero, relative to the largest stiffness
+LARGEST_DENSE, MANY = 5000, 0.1  # largest number of unknowns for LAPACK, if at least this fraction of modes is wanted
 PROVED = {True: "proved", None: "not known"}
 TIE = 1e-6  # relative difference up to which components are equally large
-ZERO = 1e4 * EPS  # an eigenvalue, of the largest stiffness, that may be rounding
+ZERO = 1e4 * EPS  # largest rounding error of an eigenvalue, relative to the largest stiffness
 
 
 class QuasistaticParts(NamedTuple):
@@ -55,26 +55,27 @@ class Modes(Result):
     Attributes
     ----------
     eigenvalues : (M,)
-        λ, ascending; negative where the packing is no minimum.
+        λ, ascending; some are negative if the packing is not a minimum.
     vectors : (M, n, 2)
-        Displacements, orthonormal; the largest component is positive. Those of equal eigenvalues are chosen
-        so that they depend on the packing alone.
+        Displacements, orthonormal; the largest component is positive. Those of equal eigenvalues depend only on
+        the packing.
     residuals : (M,)
         ‖Kv − λv‖: K has an eigenvalue within this distance of λ.
     complete : bool or None
-        True: a count of all eigenvalues below proves that none was missed; None where a note says why not.
+        True: a count of all eigenvalues below proves that none was missed; None if this is not proved; a note
+        gives the reason.
     disks : (n,)
-        Which disks of the packing these are.
+        Numbers of these disks in the packing.
     participation : (M,)
-        (Σ|v_i|²)²/(n Σ|v_i|⁴): the share of the disks that move.
+        (Σ|v_i|²)²/(n Σ|v_i|⁴): the fraction of disks that move.
     floppiness : (M,)
-        √(Σ Δu⊥²/Σ Δu∥²) over contacts: large where they slide and hardly press.
+        √(Σ Δu⊥²/Σ Δu∥²) over contacts: large if contacts slide with little change of overlap.
     amplitudes : (M,)
-        −(v·K_uγ)/λ, each mode's share in the motion per unit strain at ω → 0. Zero for a mode at λ = 0.
+        −(v·K_uγ)/λ, amplitude of the mode per unit strain at ω → 0. Zero for a mode at λ = 0.
     softening : (M,)
-        (v·K_uγ)²/(λV), by how much it lowers the modulus: G0 = ``G_affine`` − Σ softening over all modes.
+        (v·K_uγ)²/(λV), decrease of the modulus by the mode: G0 = ``G_affine`` − Σ softening over all modes.
     G_affine : float
-        The modulus before anything relaxes.
+        The modulus of the affine motion.
     geometry : Packing
     performance : dict
         Ranks, unknowns, eigensolves and counts, seconds.
@@ -112,7 +113,7 @@ class Modes(Result):
 
     @property
     def frequencies(self) -> Array:
-        """√λ of disks of unit mass, (M,); −√|λ| where λ < 0."""
+        """√λ of disks of unit mass, (M,); −√|λ| if λ < 0."""
         return np.sign(self.eigenvalues) * np.sqrt(np.abs(self.eigenvalues))
 
     def response(self, m: int) -> QuasistaticParts:
@@ -125,7 +126,7 @@ class Modes(Result):
         """
         known = len(self.eigenvalues)
         if not 0 <= m <= known:
-            raise InputError(f"m: must be between 0 and {known}, the modes there are, not {m}")
+            raise InputError(f"m: must be between 0 and {known}, the number of modes, not {m}")
         u = np.tensordot(self.amplitudes[:m], self.vectors[:m], axes=1)
         rows, affine = self._rows
         relative = (rows @ u.ravel() + affine).reshape(-1, 2)
@@ -149,19 +150,19 @@ def lowest_modes(
     """Return the ``count`` lowest modes of K on the backbone, and prove that none was missed.
 
     Shift and invert below the lowest eigenvalue, translations deflated. Then the pivots of one real LDLᵀ of
-    K − σ, σ in a gap above the last mode, count the eigenvalues below σ (Sylvester). What is missing, such as
-    copies of a degenerate mode, is searched for with the modes found deflated, until the count agrees.
+    K − σ, σ in a gap above the last mode, count the eigenvalues below σ (Sylvester). Missing modes, such as
+    copies of a degenerate mode, are searched for with the known modes deflated, until the count agrees.
 
-    ``count`` may cut a set of equal eigenvalues. The list is then the start of a longer one: its vectors are
-    among those that a larger ``count`` gives. Only where many more are equal (over 64, and over ``count``)
-    are they not all found; which of them are in the list is then arbitrary, and a note says so.
+    ``count`` may cut a set of equal eigenvalues. The list is then the beginning of the list for a larger
+    ``count``. Only if many more are equal (more than 64 and more than ``count``) not all are found; the list then
+    has an arbitrary part of them, and there is a note.
 
     Parameters
     ----------
     count : int
         At least 1; at most 2n − 2 are returned, n the disks of the backbone.
     strain : str
-        ``simple-shear``, ``pure-shear`` or ``compression``: what ``amplitudes`` and ``softening`` answer to.
+        ``simple-shear``, ``pure-shear`` or ``compression``: the strain mode of ``amplitudes`` and ``softening``.
     packing, prestress, comm, name, progress
         As for :func:`petscjam.spectrum`.
 
@@ -170,7 +171,7 @@ def lowest_modes(
     InputError
         On a count below 1, an unknown strain, or a packing without a connected backbone.
     SolverError
-        If the eigensolver fails, or keeps missing modes.
+        If the eigensolver fails, or does not find all modes.
     """
     comm, start = resolve(comm), time.perf_counter()
     agree(comm, packing, count, prestress, strain)
@@ -241,11 +242,11 @@ def check(count: int, network: ContactNetwork) -> None:
     """
     MODES.check("count:", count)
     if network.backbone.sum() < 2:
-        raise InputError("packing: a backbone of one disk has no modes but translations")
+        raise InputError("packing: a backbone of one disk has only translations as modes")
 
 
 def signs(vectors: Array) -> Array:
-    """Return the sign of the largest component of each of ``vectors`` (M, 2n); the first of several."""
+    """Return the sign of the largest component of each of ``vectors`` (M, 2n); if several are equal, of the first."""
     size = abs(vectors)
     largest = (size > (1 - TIE) * size.max(1, keepdims=True)).argmax(1)
     return np.sign(np.take_along_axis(vectors, largest[:, None], axis=1))[:, 0]
@@ -271,13 +272,13 @@ def everywhere(problem: LinearProblem, dofs: Dofs, columns: NDArray[Any]) -> Arr
 
 
 def _rows(network: ContactNetwork, strain: str) -> tuple[csr_array, Array]:
-    """Return the rows of Δu∥ and Δu⊥, in turn, over the backbone's displacements, and what strain adds."""
+    """Return the rows of Δu∥ and Δu⊥, alternating, over the displacements of the backbone, and those of the strain."""
     rows, affine = contact_rows(network, [strain_mode(strain)], at_contact_point=False)
     return rows[:, np.flatnonzero(displacements(network.backbone))], affine[:, 0]
 
 
 def probe(dofs: Dofs, rank: int) -> Array:
-    """Return a random number for each of this rank's unknowns, the same however the disks are dealt.
+    """Return a random number for each of this rank's unknowns, independent of the distribution over ranks.
 
     Parameters
     ----------
@@ -294,7 +295,7 @@ def probe(dofs: Dofs, rank: int) -> Array:
 
 
 def _searched(problem: LinearProblem, pencil: Pencil, count: int, stiffest: float, progress: Report | None) -> Search:
-    """Search until a count says that no mode is missing."""
+    """Search until a count shows that no mode is missing."""
     comm, size, network = problem.comm, pencil.dofs.size, problem.backbone
     shift = -BELOW * stiffest
     if problem.negative_modes != 0:
@@ -320,7 +321,7 @@ def _searched(problem: LinearProblem, pencil: Pencil, count: int, stiffest: floa
 
 
 def _dense(problem: LinearProblem, pencil: Pencil, count: int, least: float) -> Search:
-    """Return the lowest modes out of all, by LAPACK on one rank; the translations are moved above them."""
+    """Return the lowest modes, by LAPACK on one rank; the translations are shifted above all modes."""
     comm, backbone = problem.comm, problem.backbone.backbone
 
     def solve() -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""A packing, a law and strain modes, made ready for a communicator: the forms K and B and who owns what."""
+"""A packing, a law and strain modes on a communicator: the forms K and B and the distribution of unknowns."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam 
 class LinearProblem:
     """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
 
-    Rattlers are taken out, unless the law acts on each disk.
+    Rattlers are removed, unless the law acts on each disk.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ class LinearProblem:
     K, B : Form
         Of all contacts; K_backbone and B_backbone without those of rattlers.
     active : (N, 3) bool
-        Degrees of freedom that are solved for.
+        The unknown degrees of freedom.
     affine : (float, float)
         K_γγ and B_γγ of the first strain mode.
     notes : list of str
-        What could not be computed, and why.
+        Quantities that could not be computed, and the reasons.
 
     Raises
     ------
     InputError
-        If the packing has no contacts, or falls apart.
+        If the packing has no contacts, or is not connected.
     """
 
     def __init__(
@@ -96,27 +96,27 @@ class LinearProblem:
 
     @classmethod
     def elastic(cls, packing: Packing, prestress: bool, comm: Comm, *strains: StrainMode) -> LinearProblem:
-        """Return the problem of which only K is used.
+        """Return a problem for K only.
 
-        The contacts are those of the backbone; the law, contact damping, plays no part.
+        The contacts are those of the backbone; the law, contact damping, has no effect.
 
         Parameters
         ----------
         packing, prestress, comm
             As for the class.
         *strains : StrainMode
-            Left out: simple shear.
+            Default: simple shear.
         """
         return cls(packing, ContactDamping(), strains or (SIMPLE_SHEAR,), prestress, comm)
 
     @property
     def rate(self) -> float:
-        """Rate at which a contact relaxes by itself, 1/τ1: its mean stiffness over its friction kτ1."""
+        """Relaxation rate of a single contact, 1/τ1: mean stiffness over friction kτ1."""
         return float(self.backbone.stiffness.mean())
 
     @property
     def rounding(self) -> Array:
-        """Modulus and viscosity up to which either is zero."""
+        """Largest modulus and viscosity that count as zero."""
         return self.network.rounding_modulus * np.array([1.0, 1 / self.rate])
 
     @property
@@ -131,11 +131,11 @@ class LinearProblem:
 
     @cached_property
     def _soft_modes(self) -> tuple[int | None, int | None]:
-        """Numbers of negative and of zero modes: of a certificate of this very packing, or counted."""
+        """Numbers of negative and of zero modes: from the certificate of this packing, or counted."""
         known = self.packing.certificate
         counts = known.negative_modes, known.zero_modes
         if known.checksum == self.packing.checksum and (counts == (0, 0) or (self.prestress and None not in counts)):
-            return counts  # without pre-stress K is stiffer still
+            return counts  # without pre-stress K is even stiffer
         try:
             return on_root(self.comm, count_modes, self.backbone, self.prestress)
         except SolverError as error:
@@ -145,10 +145,10 @@ class LinearProblem:
             give_back_memory()
 
     def _unresisted(self) -> Mask:
-        """Return degrees of freedom (N, 3) to hold: one for each motion that neither K nor B resists.
+        """Return degrees of freedom (N, 3) to fix: one for each motion that neither K nor B resists.
 
-        For instance a cluster that does not reach its own images turns and rolls as a whole. Both forms are
-        sums of squares here, and what K + B ignores each of them does.
+        For instance a cluster that does not touch its own images rotates and rolls as a whole. Both forms are
+        sums of squares here, so a zero mode of K + B is a zero mode of each.
         """
         places = np.flatnonzero(self.active)
 
@@ -169,7 +169,7 @@ class LinearProblem:
 
     @property
     def definite(self) -> bool:
-        """Whether K is known to have no negative mode."""
+        """Whether K certainly has no negative mode."""
         return self.negative_modes == 0 and not self.pressed_rattlers
 
     def number(self, active: Mask) -> Dofs:
@@ -183,12 +183,12 @@ class LinearProblem:
         ----------
         form : Form
         left, right : (q, s)
-            Displacements (N, 3) and strains (S,); the left one is conjugated.
+            Displacements (N, 3) and strains (S,); ``left`` is conjugated.
         """
         return complex(total(self.comm, form.product(left, right)))
 
     def displacement(self, q: Field) -> Field:
-        """Return the displacements (N, 2) of ``q`` (N, 3), free of the choice of the disk that is held."""
+        """Return the displacements (N, 2) of ``q`` (N, 3), independent of the choice of the fixed disk."""
         u = q[:, :2].copy()
         backbone = self.backbone.backbone
         if not self.law.body:
@@ -207,7 +207,7 @@ class LinearProblem:
 
 
 def describe(problem: LinearProblem, name: str, strain: str | None = None, damping: DampingLaw | None = None) -> Origin:
-    """Return where a result of ``problem`` comes from; the strain and the law are named where they matter.
+    """Return the origin of a result of ``problem``, with strain and law if the result depends on them.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 """The reduced model of (K, B): responses at a few frequencies, chosen one by one until the error bound is below rtol.
 
-Every rank holds its rows of the motions and the same small matrices between them (docs/theory.md, Reduced
-model).
+Every rank has its rows of the motions, and the same small matrices between them (docs/theory.md, Reduced model).
 
 Axes: n local rows, m motion (0 is Q₀, with strain 1), k node.
 """
@@ -34,15 +33,18 @@ from petscjam.rows.damping import DampingLaw, law_or_default
 from petscjam.rows.kinematics import strain_mode
 
 PER_DECADE = 32  # frequencies at which the error bound is tested
-EVERY = 4  # and every so many of them may become a node
+EVERY = 4  # every 4th of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
 MOST_NODES = 40
-MOST_SPOILED = 3  # times that rounding of the gains may undo a bound that was met
+MOST_SPOILED = 3  # largest number of times that rounding errors of the gains may raise the bound above rtol again
 MOST_DECADES = 30
-PLATEAU = 1e-3  # distance of a limit from the end of the span, relative, above which it is solved for
-SILENT = 1e-11  # residual, relative to the forces of the affine motion, below which it is rounding
-LISTEN = 2  # frequencies a decade at which rounding is measured
-STEPS, FACTOR = 4, 10.0  # of the power method; what it may miss of ‖A⁻¹‖, but for 1 in FACTOR^(2 STEPS)/√n
+PLATEAU = 1e-3  # relative distance of a limit from the value at the end of the span, above which it is solved for
+SILENT = 1e-11  # residual, relative to the forces of the affine motion, that counts as a rounding error
+LISTEN = 2  # frequencies per decade at which rounding errors are measured
+STEPS, FACTOR = (
+    4,
+    10.0,
+)  # of the power method; largest underestimate of ‖A⁻¹‖, except with a probability of √n/FACTOR^(2 STEPS)
 
 Complex = NDArray[np.complex128]
 
@@ -63,8 +65,9 @@ def spectrum(
 ) -> Spectrum:
     """Return G*(ω) at every frequency of ``span`` from a few factorisations, with a bound on its error.
 
-    A Galerkin projection of (K, B) on the responses at frequencies chosen where the bound is worst, until it
-    is below ``rtol`` everywhere (docs/theory.md, Reduced model). It does not depend on the number of ranks.
+    A Galerkin projection of (K, B) on the responses at a few frequencies. The next frequency is that of the
+    largest bound, until the bound is below ``rtol`` everywhere (docs/theory.md, Reduced model). The result does
+    not depend on the number of ranks.
 
     Parameters
     ----------
@@ -72,17 +75,17 @@ def spectrum(
     span : (float, float)
         Lowest and highest angular frequency, 1/τ1.
     damping : DampingLaw
-        Left out: :class:`ContactDamping` with β = 1 and rotations.
+        Default: :class:`ContactDamping` with β = 1 and rotations.
     strain : str
         ``simple-shear``, ``pure-shear`` or ``compression`` (the complex bulk modulus).
     prestress : bool
         Keep the second term of BT eq. 4.
     rtol : float
-        Of |ΔG*|/|G*|, between 1e-12 and 0.1. Where rounding alone exceeds it, a note says so.
+        Of |ΔG*|/|G*|, between 1e-12 and 0.1. If rounding errors exceed it, there is a note.
     comm : MPI communicator
-        Left out: COMM_SELF. The result is the same on every rank.
+        Default: COMM_SELF. The result is the same on every rank.
     displacements : bool
-        Keep the motions, (M, N, 2) numbers on every rank, for :meth:`Spectrum.displacement`.
+        Store the motions, (M, N, 2) numbers on every rank, for :meth:`Spectrum.displacement`.
     name : str
         Stored with the result.
     progress : callable
@@ -197,7 +200,7 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
 
 
 def _until_bounded(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
-    """Add nodes where the bound is worst until it is met, or cannot be; return the model."""
+    """Add nodes where the bound is largest until it is below ``rtol``, or cannot be; return the model."""
     (low, high), rtol, comm = make.keywords["span"], make.keywords["rtol"], grow.problem.comm
     grid = per_decade(PER_DECADE, low, high)
     candidates = grid[EVERY:-EVERY:EVERY] if len(grid) > 2 * EVERY else grid[1:-1]
@@ -232,7 +235,7 @@ def _until_bounded(grow: _Projection, make: partial[Spectrum], progress: Report 
 
 @dataclass(eq=False)
 class _Node:
-    """A frequency, the last vector t that its factor gave, and the forces Vᵀ(K + iωB)t."""
+    """A frequency, the last vector t from its factor, and the forces Vᵀ(K + iωB)t."""
 
     omega: float
     order: int
@@ -241,7 +244,7 @@ class _Node:
 
 
 class _Projection(ReducedBasis):
-    """Motions from nodes of one pencil (K, B), and what bounds the error they leave."""
+    """Motions from nodes of one pencil (K, B), and the quantities of the error bound."""
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
         super().__init__(problem, pencil, solver)
@@ -287,16 +290,16 @@ class _Projection(ReducedBasis):
             length = self.dot(KR + 1j * node.omega * BR, node.top)
             length = length + (residual_K + 1j * node.omega * residual_B)[1:] @ y
             gains[k] = self.dot(R, node.top) / length
-        wrong = np.maximum(-gains.real, gains.imag).clip(0) * self.problem.definite  # signs are known there
+        wrong = np.maximum(-gains.real, gains.imag).clip(0) * self.problem.definite  # with reliable signs
         with np.errstate(divide="ignore", invalid="ignore"):
             gain_errors = np.where(wrong > 0, wrong / abs(gains), 0.0)
         return common | {"residual_K": residual_K, "residual_B": residual_B, "gains": gains, "gain_errors": gain_errors}
 
     def _rounding_only(self, grid: Array) -> dict[str, Any]:
-        """Return the arrays of a model whose residual is rounding, in no direction that is known.
+        """Return the arrays of a model whose residual is a rounding error of unknown direction.
 
-        Its length is measured, relative to the forces of the affine motion; its gain at the last node is at
-        most ‖A⁻¹‖, known from a power method there (docs/theory.md, Reduced model).
+        Its length is measured, relative to the forces of the affine motion; its gain at the last node is at most
+        ‖A⁻¹‖, from a power method (docs/theory.md, Reduced model).
         """
         ratio = max(self.norm(self._residual(w)) / self._size(w) for w in grid[:: PER_DECADE // LISTEN])
         residual_K, residual_B = np.zeros((2, len(self.reduced[0])))
@@ -312,9 +315,9 @@ class _Projection(ReducedBasis):
         }
 
     def _largest_gain(self) -> float:
-        """Return ‖A⁻¹‖ of the last node's A = K + iω_kB, or more.
+        """Return an upper estimate of ‖A⁻¹‖, A = K + iω_kB of the last node.
 
-        STEPS products with (A⁻¹)†A⁻¹ from a random start tell it within FACTOR (J. D. Dixon, SIAM J. Numer.
+        STEPS products with (A⁻¹)†A⁻¹ from a random vector give it within FACTOR (J. D. Dixon, SIAM J. Numer.
         Anal. 20, 812, 1983).
         """
         dofs, rank = self.pencil.dofs, self.problem.comm.rank
@@ -332,7 +335,7 @@ class _Projection(ReducedBasis):
         return FACTOR * float(np.exp(growth / (2 * STEPS)))
 
     def gain_errors(self) -> Array:
-        """Return for each node which part of its residual, or of the loudest, is not along R: rounding."""
+        """Return for each node the fraction of its residual, or of the largest one, that is not along R: rounding."""
         errors = np.zeros(len(self.nodes))
         for k, node in enumerate(self.nodes):
             z = node.top + self.combine(self._correction(node))
@@ -345,7 +348,7 @@ class _Projection(ReducedBasis):
         return self.norm(r - self._R * self.dot(self._R, r)) / self.norm(r)
 
     def _correction(self, node: _Node) -> Complex:
-        """Return the motions that Galerkin would add to ``node.top``."""
+        """Return the Galerkin correction of ``node.top`` by the motions."""
         K, B = self.reduced
         A = K[1:, 1:] + 1j * node.omega * B[1:, 1:]
         return -np.linalg.solve(A, node.forces) if len(A) else np.zeros(0, dtype=complex)
@@ -360,11 +363,11 @@ class _Projection(ReducedBasis):
         return r + 1j * omega * (self.forces[1] + self.apply(self.pencil.B, u))
 
     def _size(self, omega: float) -> float:
-        """Return the size of the forces of the affine motion at ``omega``, were there no cancellation."""
+        """Return the size of the forces of the affine motion at ``omega`` without cancellation."""
         return float(np.hypot(self._sizes[0], omega * self._sizes[1])) or 1.0
 
     def _direction(self, grid: Array) -> Array | None:
-        """Return R, the direction of the residual at every ω; None where it is rounding."""
+        """Return R, the direction of the residual at every ω; None if the residual is a rounding error."""
         omega = self._loudest(grid)
         r = self._residual(omega)
         if not self.norm(r) > SILENT * self._size(omega):
@@ -376,7 +379,7 @@ class _Projection(ReducedBasis):
         return self._R
 
     def _loudest(self, grid: Array) -> float:
-        """Return where the residual is largest by its zeros, the nodes, and its poles, those of the model."""
+        """Return the frequency of the largest residual, from its zeros (nodes) and its poles (of the model)."""
         from scipy.linalg import eigvals
 
         K, B = self.reduced

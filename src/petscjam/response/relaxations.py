@@ -1,4 +1,4 @@
-"""The slowest relaxations of (K, B): B v = τ K v, the motions behind the poles of G*.
+"""The slowest relaxations of (K, B): B v = τ K v, the motions of the poles of G*.
 
 Axes: m mode, i disk of the backbone, x Cartesian, n local rows.
 """
@@ -35,7 +35,7 @@ from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
 if TYPE_CHECKING:
     from petsc4py.PETSc import Mat, Vec
 
-INSTANT = 1e-13  # of the slowest time, below which a motion meets no friction
+INSTANT = 1e-13  # of the slowest time, below which a motion has no friction
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,10 @@ class RelaxationModes(Result):
     residuals : (M,)
         ‖Bv − τKv‖/‖τKv‖.
     complete : bool or None
-        True: a count of all slower relaxations proves that none was missed; None where a note says why not.
+        True: a count of all slower relaxations proves that none was missed; None if this is not proved; a note
+        gives the reason.
     disks : (n,)
-        Which disks of the packing these are.
+        Numbers of these disks in the packing.
     geometry : Packing
     performance : dict
         Ranks, unknowns, eigensolves and counts, seconds.
@@ -76,7 +77,7 @@ class RelaxationModes(Result):
     figure: ClassVar[str] = "petscjam.plots.modes:relaxations_figure"
 
     def row(self) -> dict[str, float | str]:
-        """Return what the table shows of it."""
+        """Return its line of the table."""
         return {
             "law": str(self.damping),
             "modes": f"{len(self.times)}",
@@ -111,16 +112,16 @@ def relaxation_modes(
     count : int
         At least 1; at most 2n − 2 are returned, n the disks of the backbone.
     damping : DampingLaw
-        Left out: :class:`ContactDamping` with β = 1 and rotations.
+        Default: :class:`ContactDamping` with β = 1 and rotations.
     strain : str
-        ``simple-shear``, ``pure-shear`` or ``compression``: what ``weights`` answer to.
+        ``simple-shear``, ``pure-shear`` or ``compression``: the strain mode of ``weights``.
     packing, prestress, comm, name, progress
         As for :func:`petscjam.spectrum`.
 
     Raises
     ------
     InputError
-        On a count below 1, an unknown strain, a law that acts on contacts and on disks, or a packing without
+        On a count below 1, an unknown strain, a law that acts both on contacts and on disks, or a packing without
         a connected backbone.
     SolverError
         If K is not known to be positive definite, or the eigensolver fails.
@@ -175,7 +176,7 @@ class _Relaxations(NamedTuple):
 
 
 def _under_contact_damping(problem: LinearProblem, count: int, progress: Report | None) -> _Relaxations:
-    """Return the slowest relaxations; B does not resist translations, and one disk is held."""
+    """Return the slowest relaxations; B does not resist translations, and one disk is fixed."""
     comm = problem.comm
     dofs = problem.number(problem.active)
     needs = check_memory(comm, dofs.size)
@@ -219,17 +220,17 @@ def _under_contact_damping(problem: LinearProblem, count: int, progress: Report 
 
 
 def _slower(problem: LinearProblem, tau: float, room: float) -> int:
-    """Count the times above ``tau``; those within ``room`` of it count or do not.
+    """Return the number of times above ``tau``; those within ``room`` of it may be counted or not.
 
     They are the positive eigenvalues of S − τK, S = B_uu − B_uθ B_θθ⁻¹ B_θu (Sylvester). This is a Schur
     complement in B − τK over u and θ, which has one more for each θ (Haynsworth, Linear Algebra Appl. 1, 73,
-    1968). A factorisation that rounds by less than the lowest eigenvalue of ¼(room/τ)(τK + B) is one with a
-    τ that is off by less than ``room``. The unknowns are scaled to a unit diagonal of τK + B.
+    1968). A factorisation with a rounding error below the lowest eigenvalue of ¼(room/τ)(τK + B) is exact for a τ
+    that differs by less than ``room``. The unknowns are scaled to a unit diagonal of τK + B.
 
     Raises
     ------
     SolverError
-        If a factorisation fails, or rounds by more.
+        If a factorisation fails, or its rounding error is larger.
     """
     everybody = np.ones(len(problem.packing), dtype=bool)
     unknowns = np.flatnonzero(problem.active)
@@ -242,13 +243,13 @@ def _slower(problem: LinearProblem, tau: float, room: float) -> int:
     positive, rounding = negative_pivots(root @ (tau * K - B) @ root)
     lowest = 4 * rounding * scale / room
     if pivots_below(root @ both @ root, 2 * lowest, lowest) > 0:
-        raise SolverError(f"the factorisation of K and B rounds by more than {room / scale:.1e} of τ")
+        raise SolverError(f"the rounding error of the factorisation of K and B exceeds {room / scale:.1e} of τ")
     return positive - int(problem.active[:, 2].sum())
 
 
 @dataclass(frozen=True, eq=False)
 class _Eliminated:
-    """K and −B between displacements, θ following; ``k`` and ``b`` (n,), and which local rows they are."""
+    """K and −B between displacements, θ following; ``k`` and ``b`` (n,), and their local rows."""
 
     K: Mat
     minus_B: Mat
