@@ -287,7 +287,7 @@ def zero_crossing(delta: ArrayLike, C: ArrayLike) -> float:
 
 
 def minimum(delta: ArrayLike, C: ArrayLike) -> tuple[float, float]:
-    """Return δ and C where C is least: at the far end, L/2, if it falls all the way.
+    """Return δ and C at the minimum of C: at L/2 if C decreases everywhere.
 
     Parameters
     ----------
@@ -302,17 +302,17 @@ def correlation_length(
 ) -> CorrelationLength:
     """Return the zero of the mean of C over several packings, with its jackknife error.
 
-    Their cells may differ a little, so C is averaged at the same δ/L, and lengths are those of the mean cell.
+    Their cells may differ slightly, so C is averaged at the same δ/L, and lengths are those of the mean cell.
     The error is NaN for a single packing.
 
     Parameters
     ----------
     results : mapping of str to Correlations
-        Alike in size, pressure and law.
+        Of the same size, pressure and law.
     part : str
         ``real`` (peak stress) or ``imaginary`` (zero stress).
     unstable : bool
-        Whether packings that are not stable count.
+        Whether to include unstable packings.
 
     Raises
     ------

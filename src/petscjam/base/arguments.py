@@ -1,4 +1,4 @@
-"""Argument types: the numbers, lists and ranges that a text stands for."""
+"""Argument types: numbers, lists and ranges from text."""
 
 from __future__ import annotations
 

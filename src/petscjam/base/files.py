@@ -90,7 +90,7 @@ def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable
     path : str or PathLike
     overwrite : bool
     inputs : iterable of paths
-        Files that the work reads.
+        Files that the computation reads.
 
     Raises
     ------

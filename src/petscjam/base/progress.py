@@ -20,7 +20,7 @@ def part(report: Report, k: int, n: int, label: str = "") -> Report:
     k, n : int
         0 ≤ k < n.
     label : str
-        Stands before the text.
+        Prefix of the text.
     """
     return lambda fraction, text: report((k + fraction) / n, label + text)
 
@@ -32,7 +32,7 @@ def progress(label: str, *, show: bool) -> Iterator[Report]:
     Parameters
     ----------
     label : str
-        Stands before each text.
+        Prefix of each text.
     show : bool
     """
     if not show:

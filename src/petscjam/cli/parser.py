@@ -348,8 +348,8 @@ def disks(p: Parser) -> None:
     text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
     text = (
-        "time step in tau_e, divided where the contacts demand it (default: one that keeps the energy budget "
-        "within 1 percent, at most 0.05)"
+        "time step in tau_e, divided if the contacts require it (default: one with an error of the energy budget "
+        "below 1 percent, at most 0.05)"
     )
     p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X", help=text)
     text = "exponent of the repulsion V ~ overlap^X (default 2, or that of --start)"
@@ -418,7 +418,7 @@ def add(known: Verbs, verb: str, work: Work, text: str, epilog: str = "") -> Par
     work : callable
         Function of the options and of the communicator.
     text, epilog : str
-        What the help says, and at its end.
+        The help text, and its last line.
     """
     parser = known.add_parser(verb, help=text, description=text, epilog=epilog.format(verb=verb))
     parser.set_defaults(work=work, known=parser._option_string_actions.keys())
@@ -432,9 +432,9 @@ def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume:
     ----------
     p : Parser
     metavar, text : str
-        What the help calls it and says.
+        Its name in the help, and the help text.
     required, resume : bool
-        Whether it must be given, and may be continued.
+        Whether it must be given, and whether it can be resumed.
     """
     p.add_argument("-o", "--output", type=path, metavar=metavar, required=required, help=text)
     either = p.add_mutually_exclusive_group()

@@ -109,7 +109,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
 
 
 def _points(options: argparse.Namespace, rates: list[float]) -> list[Point]:
-    """Return the runs that are asked for."""
+    """Return the runs of the options."""
     from petscjam.md.grid import grid
 
     if options.model and law_options(options):

@@ -39,7 +39,7 @@ def draw(data: FigureData) -> None:
 def draw_collapse(
     page: Page, results: Mapping[str, ComplexModulus], law: DampingLaw, picture: Path, affine: float = AFFINE
 ) -> None:
-    """Draw G* raw and collapsed, with pre-stress above and without below; note the exponents (BT fig. 3).
+    """Draw G* raw and collapsed, top with pre-stress, bottom without; note the exponents (BT fig. 3).
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def draw_collapse(
     law : DampingLaw
     picture : Path
     affine : float
-        Frequency from which the response is no longer critical, 1/τ1.
+        Frequency above which the response is not critical, 1/τ1.
     """
     from matplotlib.figure import Figure
 
@@ -85,7 +85,7 @@ def exponents(page: Page, groups: Mapping[float, list[ComplexModulus]], how: str
     how : str
         With or without pre-stress, for the names.
     affine : float
-        Frequency from which the response is no longer critical, 1/τ1.
+        Frequency above which the response is not critical, 1/τ1.
     """
     p = np.array(list(groups))
     page.exponent(f"μ, G0 ~ p^μ, {how}", p, [[g.G0 for g in some] for some in groups.values()], "1/2")

@@ -316,7 +316,7 @@ class ModulusAnalysis(Analysis):
         g : ComplexModulus
         seconds : float
         before : ComplexModulus or None
-            The result before, which may be of the same factorisations.
+            The previous result, which may be from the same factorisations.
         """
         made, accuracy = g.performance, f"residual {g.residuals.max():.1e}"
         same = g.model and before and before.model and g.model.nodes is before.model.nodes

@@ -83,7 +83,7 @@ run ${{steps}}
 write_dump all custom end.dump {columns} modify sort id format float %.17g
 """
 IN_ELASTIC = """\
-# The elastic pressure of every frame of shear.dump; what is left of that of in.shear is dissipative.
+# The elastic pressure of every frame of shear.dump; the rest of that of in.shear is dissipative.
 variable skin index 0.1
 log elastic.log
 {disks}

@@ -57,7 +57,7 @@ class Wanted:
         Raises
         ------
         InputError
-            If both columns contradict each other, or there is no radius or two.
+            If the columns are contradictory, or there is no radius, or two.
         """
         radii = [values / 2 if name == "diameter" else values for name, values in sizes.items()]
         if radii:
@@ -114,7 +114,7 @@ class Text:
         width : int
             Words on each of them.
         columns : sequence of int
-            Which of the words, from 0.
+            Indices of the words, from 0.
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Text:
         Raises
         ------
         InputError
-            If a line has more or fewer words, or one of them is no number.
+            If a line has more or fewer words, or one of them is not a number.
         """
         table = []
         for n in rows:

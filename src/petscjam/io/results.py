@@ -61,11 +61,11 @@ def append_result(
     file : str or PathLike
     group : str
     fresh : bool
-        Whether it replaces what the file held.
+        Whether it replaces the content of the file.
     run : str
         Who wrote last.
     made_with : str
-        How the result was made.
+        The call that made the result.
 
     Raises
     ------

@@ -74,7 +74,7 @@ def tts(source: Spectrum | ComplexModulus, omegas: ArrayLike | None = None) -> b
     ----------
     source : Spectrum or ComplexModulus
     omegas : array_like, optional
-        1/τ1; left out, those of ``source``, or an even grid in its span.
+        1/τ1; default: those of ``source``, or an even grid in its span.
     """
     modulus = _sampled(source, omegas)
     lines = [_parameters(modulus, Mw=0, T=0), _setting(modulus), f"# frequencies in 1/tau1, {_moduli(modulus)}"]
@@ -89,7 +89,7 @@ def gt(source: Spectrum | ComplexModulus, times: ArrayLike | None = None) -> byt
     ----------
     source : Spectrum or ComplexModulus
     times : array_like, optional
-        τ1; left out, an even grid in what the model knows.
+        τ1; default: an even grid in the range of the model.
 
     Raises
     ------

@@ -109,13 +109,13 @@ class Profile:
 
 
 def blocks_after(run: Run, strain: float | None = None) -> NDArray[np.bool_]:
-    """Return which blocks end beyond ``strain`` from the start.
+    """Mark the blocks that end after ``strain`` from the start.
 
     Parameters
     ----------
     run : Run
     strain : float, optional
-        Left out, a quarter of the run.
+        Default: a quarter of the run.
 
     Returns
     -------

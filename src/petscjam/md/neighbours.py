@@ -135,7 +135,7 @@ def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pair
 
 @njit(cache=True)
 def open_contacts(pairs: Pairs, tag: Integers) -> Integers:
-    """Return the disks, by tag, of the pairs that touch, and since when.
+    """Return the disks, by tag, of touching pairs, and the tick of their contact.
 
     Parameters
     ----------

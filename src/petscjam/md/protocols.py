@@ -46,7 +46,7 @@ class Protocol:
 
 
 def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
-    """Shear at a steady rate.
+    """Shear at a constant rate.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
     strain : float
         Above 0.
     bulk : str
-        What a start at another rate does to velocities, a name from ``BULK``.
+        Effect of a start at another rate on velocities, a name from ``BULK``.
 
     Raises
     ------
@@ -68,14 +68,14 @@ def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
 
 
 def ramp(rate: float, to: float, kappa: float) -> Protocol:
-    """Raise γ̇ by a factor 10^κ̃ every τe, and lower it again (VOT eqs. 38–41).
+    """Increase γ̇ by a factor 10^κ̃ every τe, and decrease it again (VOT eqs. 38–41).
 
     Velocities and spins are scaled with the rate.
 
     Parameters
     ----------
     rate, to : float
-        Where it begins and where it turns, 1/τe; a lower ``to`` ramps down first.
+        First and highest rate, 1/τe; if ``to`` is lower, the rate decreases first.
     kappa : float
         κ̃.
 
@@ -105,21 +105,21 @@ def ramp(rate: float, to: float, kappa: float) -> Protocol:
 
 
 def steps(rates: Sequence[float], strains: Sequence[float], bulk: str = "scale") -> Protocol:
-    """Shear at several strain rates in turn: a step of the rate or, with a last rate of 0, the cessation of shear.
+    """Shear at several strain rates in sequence: a step of the rate or, with a last rate of 0, cessation of shear.
 
     Parameters
     ----------
     rates : sequence of float
         1/τe.
     strains : sequence of float
-        How far at each; at a rate of 0 a time, τe.
+        Strain at each rate; at a rate of 0 a time, τe.
     bulk : str
-        What a change of the rate does to velocities, a name from ``BULK``.
+        Effect of a change of the rate on velocities, a name from ``BULK``.
 
     Raises
     ------
     InputError
-        If there are not as many of both, or a number is out of range.
+        If the numbers of rates and strains differ, or a number is out of range.
     """
     if len(rates) != len(strains) or len(rates) == 0:
         raise InputError(f"shear: {len(rates)} strain rates but {len(strains)} strains")

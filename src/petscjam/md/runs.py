@@ -119,14 +119,14 @@ def ramp(
     output: str | PathLike[str] | None = None,
     **options: Any,
 ) -> Run:
-    """Raise the strain rate by 10^κ̃ every τe, and lower it again (VOT sec. III D).
+    """Increase the strain rate by 10^κ̃ every τe, and decrease it again (VOT sec. III D).
 
     Each row averages over 10³ τe.
 
     Parameters
     ----------
     rate, to : float
-        Where it begins and where it turns, 1/τe.
+        First and highest rate, 1/τe.
     kappa : float
         κ̃.
     model, n, phi, Q, seed, dt, start, output, **options
@@ -235,7 +235,7 @@ def run(
 
 @contextmanager
 def _claimed(output: str | PathLike[str] | None, start: Start, *, overwrite: bool, frames: bool) -> Iterator[None]:
-    """Check the output, and keep other runs from it and from its frames."""
+    """Check the output, and claim it and its frames."""
     with ExitStack() as held:
         if output is not None:
             held.enter_context(claimed(output))

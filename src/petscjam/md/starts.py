@@ -39,9 +39,9 @@ def first_state(
     state : State or None
         None: disks at random positions.
     origin : str
-        Where it is from, for messages.
+        Its description, for messages.
     n, phi : int and float, optional
-        As many disks, and such a packing fraction, are asked for.
+        Requested number of disks and packing fraction.
     seed : int
     model : Model
     protocol : Protocol

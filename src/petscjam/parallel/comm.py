@@ -48,7 +48,7 @@ def world() -> Comm:
 
 
 def resolve(comm: Comm | None = None) -> Comm:
-    """Return ``comm``; left out, COMM_SELF, with a warning if the program runs on several ranks.
+    """Return ``comm``; default: COMM_SELF, with a warning if the program runs on several ranks.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def raise_together(comm: Comm, error: Exception | Interrupted | None) -> None:
     ----------
     comm : Comm
     error : exception or None
-        What happened on this rank.
+        The error of this rank.
     """
     shared = [e for e in comm.allgather(_for_others(error)) if e is not None]
     if shared:
@@ -133,7 +133,7 @@ def total(comm: Comm, share: Any) -> Any:
     ----------
     comm : Comm
     share : scalar or array
-        Of this rank; of one shape on all.
+        Of this rank; the same shape on all.
     """
     share = np.asarray(share)
     out = np.empty_like(share)

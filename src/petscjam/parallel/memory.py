@@ -72,7 +72,7 @@ def check_memory(comm: Comm, unknowns: int, *, out_of_core: bool = False) -> str
     unknowns : int
         Rows of the matrix.
     out_of_core : bool
-        Whether the factor is kept in files.
+        Whether the factor is stored in files.
 
     Raises
     ------

@@ -361,7 +361,7 @@ def certify(packing: Packing, target_pressure: float | None = None) -> Packing:
 
 
 def judge(packing: Packing, target_pressure: float | None = None) -> tuple[Packing, Instability | None]:
-    """Do what :func:`certify` does, and return a motion that lowers the energy if there is one.
+    """Do what :func:`certify` does, and return a motion that decreases the energy if there is one.
 
     Parameters
     ----------

@@ -146,18 +146,19 @@ def relax_packing(
 ) -> Packing:
     """Return the nearest minimum of ``packing``, with its certificate.
 
-    FIRE or conjugate gradients lead to where Newton's method converges. Then K is judged
-    (:func:`petscjam.certify`); a negative mode is followed downhill, and minimisation goes on until the minimum
-    is proved or the budget is spent. The minimisation ends when no net force exceeds max(1e-10·p·d, 4·ε·k·L) and
-    the pressure (stabilised: the pressure tensor) is within max(1e-9·p, 4·ε·k·L/d) of the target.
+    FIRE or conjugate gradients minimise until Newton's method converges. Then the packing is certified
+    (:func:`petscjam.certify`); if there is a negative mode, the disks are moved along it, and minimisation
+    continues until the minimum is proved or the budget is used up. The minimisation ends when no net force
+    exceeds max(1e-10·p·d, 4·ε·k·L) and the pressure (stabilised: the pressure tensor) is within max(1e-9·p,
+    4·ε·k·L/d) of the target.
 
     Parameters
     ----------
     packing : Packing
-        For a series of falling pressures, the packing of the pressure before.
+        For a series of decreasing pressures, the packing of the previous pressure.
     pressure : float, optional
-        At constant pressure the size of the cell relaxes, and its shape if the packing is to be stable against
-        shear; left out, the cell stays as it is.
+        At constant pressure the size of the cell relaxes, with ``shear_stabilised`` also its shape; default: the
+        cell is fixed.
     shear_stabilised, method, threads, budget, progress
         As in :func:`prepare_packing`.
 

@@ -95,7 +95,7 @@ def rows(c, radii, strain, arms):
     radii : (N,)
     strain : str
     arms : int
-        1: where the disks touch; 0: at their centres.
+        1: at the contact point; 0: at the centres.
     """
     n = len(radii)
     r = (c.rx**2 + c.ry**2) ** 0.5

@@ -60,7 +60,7 @@ class ReducedBasis:
         rhs : (n,)
             This rank's rows.
         drag : (n,), optional
-            What is dragged besides x.
+            B times the motion apart from x.
         """
         x, residual = self.solver.solve(rhs, soft=True)
         self.residual = max(self.residual, residual)
@@ -133,7 +133,7 @@ class ReducedBasis:
         return np.array([problem.displacement(q).real for q in gathered])
 
     def performance(self, factorisations: int) -> dict[str, Any]:
-        """Return what the model took to make, for the record of a result."""
+        """Return the cost of the model, for the record of a result."""
         return {
             "factorisations": factorisations,
             "ranks": self.problem.comm.size,

@@ -27,7 +27,7 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     omegas : array_like
         1/τ1.
     empty : bool
-        Whether there may be none.
+        Whether the array may be empty.
 
     Returns
     -------
