@@ -462,7 +462,7 @@ def test_a_ramp_has_an_up_and_a_down(drawn):
     for line, slope in zip(slopes, (2, 1), strict=True):
         x, y = line.get_data()
         assert np.diff(np.log(y)) / np.diff(np.log(x)) == pytest.approx(slope)
-    with pytest.raises(InputError, match="no ramp, but of the protocol 'steady'"):
+    with pytest.raises(InputError, match="not a ramp, but of the protocol 'steady'"):
         shear.plot_ramp(synthetic_run(), None)
 
 
