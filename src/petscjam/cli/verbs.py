@@ -227,7 +227,7 @@ def plot(options: argparse.Namespace, comm: Comm) -> None:
     """
 
     def work() -> None:
-        from petscjam.base.files import check_output
+        from petscjam.base.files import check_output, naming
         from petscjam.io.kinds import recognise
         from petscjam.plots.files import CONTENTS
         from petscjam.plots.shear import plot_maps
@@ -239,10 +239,11 @@ def plot(options: argparse.Namespace, comm: Comm) -> None:
         if options.maps and kind != "run":
             raise InputError(f"plot: --maps goes with a sheared run, and {given} is none")
         found = CONTENTS[kind].read(given)
-        if options.maps:
-            plot_maps(found.state, target)
-        else:
-            CONTENTS[kind].draw(found, target)
+        with naming(given):
+            if options.maps:
+                plot_maps(found.state, target)
+            else:
+                CONTENTS[kind].draw(found, target)
         print(target)
 
     on_root(comm, work)
