@@ -61,7 +61,7 @@ def compiled(function: Callable[..., Any], what: str) -> Any:
     ----------
     function : callable
     what : str
-        What the function belongs to, for the message.
+        The object of the function, for the message.
 
     Raises
     ------

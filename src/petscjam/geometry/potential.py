@@ -18,7 +18,7 @@ from petscjam.base.types import Array
 
 
 class Compiled(NamedTuple):
-    """Addresses of U, U′ and U″, compiled; None of a power law, for which the loops have formulas of their own."""
+    """Addresses of U, U′ and U″, compiled; None of a power law, for which the loops have separate formulas."""
 
     U: int | None = None
     dU: int | None = None

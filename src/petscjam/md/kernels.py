@@ -49,8 +49,8 @@ HEUN, SINGLE = 0, 1
 class Law(NamedTuple):
     """A model for the kernels.
 
-    An exponent of 2 is given as None: with a power the loop does not vectorise. ``absolute`` is 1 where overlaps
-    count as they are, None where they count relative to σ. ``U``, ``dU`` and ``d2U`` are addresses
+    An exponent of 2 is given as None: with a power the loop does not vectorise. ``absolute`` is 1 if overlaps
+    are absolute, None if they are relative to σ. ``U``, ``dU`` and ``d2U`` are addresses
     (:class:`petscjam.geometry.potential.Compiled`).
     """
 

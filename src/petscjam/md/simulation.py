@@ -133,7 +133,7 @@ class Simulation:
         self.parts = self.demand()
 
     def fastest(self) -> tuple[float, float]:
-        """Bound the largest eigenvalues of M⁻¹B, in 1/τe, and M⁻¹K, in 1/τe², with the contacts of the moment."""
+        """Return bounds on the largest eigenvalues of M⁻¹B, 1/τe, and M⁻¹K, 1/τe², for the current contacts."""
         return kernels.fastest(self._disks, self._pairs, self._law, self._exponent, self.strain)
 
     def demand(self) -> int:

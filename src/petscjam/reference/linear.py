@@ -23,7 +23,7 @@ class Contact(NamedTuple):
 
 
 def contacts(positions, radii, cell, potential, images=3):
-    """Return every contact, by trying all pairs and all images.
+    """Return every contact, from all pairs and all images.
 
     Parameters
     ----------
