@@ -27,6 +27,7 @@ from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.parallel.memory import check_memory
 from petscjam.parallel.petsc import petsc
 from petscjam.parallel.solver import direct_solver
+from petscjam.response.limits import limit_or_note, static_modulus
 from petscjam.response.matrices import assembled
 from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
@@ -138,6 +139,7 @@ def self_consistent_drag(
         lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
         problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
     lowest = rounded(found["values"].real, problem.rounding[0]).min()
+    still = limit_or_note(partial(static_modulus, problem), problem.notes, "G0")
     return NonlinearModulus(
         omega=omega,
         stress=float(stress),
@@ -146,7 +148,7 @@ def self_consistent_drag(
         **found,
         errors=np.full(len(omega), np.nan),
         origin=describe(problem, name, strain),
-        G0=float(lowest),
+        G0=float(np.nanmin([lowest, still.G])),
         negative_modes=problem.negative_modes,
         zero_modes=problem.zero_modes,
         notes=tuple(problem.notes),

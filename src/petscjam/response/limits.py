@@ -80,6 +80,13 @@ def quasistatic(problem: LinearProblem) -> tuple[Field, float]:
     return np.array(fields), worst
 
 
+def static_modulus(problem: LinearProblem) -> Limit:
+    """Return G0 for the first strain mode, without η0."""
+    fields, residual = quasistatic(problem)
+    still: Motion = (fields[0], _unit(problem))
+    return _limit(problem, problem.product(problem.K_backbone, still, still).real, np.nan, residual)
+
+
 def zero_frequency(problem: LinearProblem) -> Limit:
     """Return G0, η0 for the first strain mode (docs/theory.md, Limits)."""
     fields, residual = quasistatic(problem)
