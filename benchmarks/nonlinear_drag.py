@@ -40,7 +40,7 @@ def in_diameters(packing):
 
 def contacts(packing):
     """Return those of the backbone."""
-    found = reference.contacts(packing.positions, packing.radii, packing.box.cell)
+    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, packing.potential)
     return reference.without_rattlers(found, len(packing))
 
 

@@ -15,7 +15,7 @@ omega = np.geomspace(1e-3, 1e1, 5)
 
 solved = pj.complex_modulus(packing, omega, damping=pj.StokesDrag(eta_fluid=1.0), comm=comm)
 
-contacts = reference.contacts(packing.positions, packing.radii, packing.box.cell)
+contacts = reference.contacts(packing.positions, packing.radii, packing.box.cell, packing.potential)
 K = reference.hessian(contacts, packing.radii)
 by_hand = np.array([reference.stokes_modal_sum(K, w, packing.box.area, eta_fluid=1.0) for w in omega])
 

@@ -70,7 +70,7 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     if any((g.values.real < 0).any() for g in bad):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
     axes.legend(loc="upper left", frameon=False)
-    count = len(results)
+    count = len({g.origin.checksum for g in results.values()})
     title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}" if one else f"{count} packings"
     laws = {g.damping for g in results.values()}
     title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
@@ -79,7 +79,7 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     title += f"; {first.strain}"
     axes.set_title(title, fontsize=10)
     if bad:
-        text = bad[0].state if one else f"{len(bad)} of {count} packings not stable"
+        text = bad[0].state if one else f"{len({g.origin.checksum for g in bad})} of {count} packings not stable"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
 
 
