@@ -9,8 +9,9 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
 READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-bounds
-bench-scaling bench-lammps bench-shear clean .DEFAULT_GOAL := help
+.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-bounds \
+    bench-scaling bench-lammps bench-shear clean
+.DEFAULT_GOAL := help
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
