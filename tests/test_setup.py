@@ -76,7 +76,7 @@ def test_packages_that_apt_get_does_not_know(machine):
 
 def test_every_target_of_make_has_a_recipe_and_a_line_of_help():
     root = SETUP.parents[1]
-    listed = subprocess.run(["make", "help"], cwd=root, capture_output=True, text=True)
+    listed = subprocess.run(["make", "--no-print-directory", "help"], cwd=root, capture_output=True, text=True)
     assert listed.returncode == 0, listed.stderr
     phony = next(line for line in (root / "Makefile").read_text().replace("\\\n", "").splitlines() if ".PHONY:" in line)
     assert {line.split()[0] for line in listed.stdout.splitlines()} == set(phony.split()[1:])
