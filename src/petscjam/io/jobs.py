@@ -265,7 +265,7 @@ class ModulusAnalysis(Analysis):
 
     def _in_family(self, law: DampingLaw | None) -> bool:
         known = isinstance(law, ContactDamping) and 0 < law.beta <= LARGEST_BETA
-        return known and not self.direct and bool(np.min(self.omegas) < np.max(self.omegas))
+        return known and not self.direct and np.ptp(np.asarray(self.omegas)) > 0
 
     def there(self, ensemble: Ensemble) -> Made:
         """Return the results in the output; all must have these laws, frequencies and accuracy."""
@@ -288,7 +288,8 @@ class ModulusAnalysis(Analysis):
         if self.direct:
             yield first, complex_modulus(packing, self.omegas, damping=first, fields_at=self.fields_at, **common)
             return
-        span = float(np.min(self.omegas)), float(np.max(self.omegas))
+        omegas = np.asarray(self.omegas)
+        span = float(omegas.min()), float(omegas.max())
         common |= {"rtol": self.rtol, "displacements": np.size(self.fields_at) > 0}
         common |= {"out_of_core": self.out_of_core, "block_low_rank": self.block_low_rank}
         if len(laws) == 1:

@@ -133,7 +133,7 @@ class Dofs:
         (N, 3) complex
         """
         values = np.empty(self.size, dtype=complex)
-        comm.Allgatherv(np.ascontiguousarray(local, dtype=complex), (values, self.counts))
+        comm.Allgatherv(np.ascontiguousarray(local, dtype=complex), [values, self.counts])
         field = np.zeros(self.index.shape, dtype=complex)
         field[self.index >= 0] = values[self.index[self.index >= 0]]
         return field

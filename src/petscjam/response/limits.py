@@ -155,7 +155,7 @@ def relax_dissipation(problem: LinearProblem, motion: Motion) -> tuple[Motion, f
     moves = [e for e in translations(len(problem.packing)) if resists(problem.B, e, problem.comm)]
     follow = problem.active & ~displacements(problem.backbone.backbone)
     starts: list[Motion] = [(q, s)]
-    starts += [(e * problem.backbone.backbone[:, None] + 0j, np.zeros_like(s)) for e in moves]
+    starts.extend(((e * problem.backbone.backbone[:, None]).astype(complex), np.zeros_like(s)) for e in moves)
     motions, residual = _follow(problem, follow, starts) if follow.any() else (starts, 0.0)
     (q, s), shifts = motions[0], motions[1:]
     if shifts:
