@@ -12,6 +12,7 @@ hang. A file that another program has written or changed has no digest.
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -286,7 +287,8 @@ def check_type(name: str, value: object, annotation: str) -> None:
     found = np.asarray(value)
     if found.dtype.kind not in kinds or (found.ndim > 0) != array:
         what = f"an array of {found.dtype}" if found.ndim else type(value).__name__
-        raise InputError(f"{name} is {what}, not {annotation}")
+        wanted = re.sub(r"NDArray\[np\.([a-z]+\d*)_?\]", r"an array of \1", annotation)
+        raise InputError(f"{name} is {what}, not {wanted}")
 
 
 def check_shapes(where: str, shapes: Mapping[str, str], values: Mapping[str, Any]) -> None:

@@ -42,18 +42,23 @@ def save(figure: Figure, path: str | PathLike[str], results: Mapping[str, Any] |
     Raises
     ------
     InputError
-        If the format is not known, or the file cannot be written.
+        If the format is not known, the file cannot be written, or there is nothing that can be drawn.
     """
     kind = Path(path).suffix.removeprefix(".").lower() or "png"
     known = figure.canvas.get_supported_filetypes()
     if kind not in known:
         raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
-    forces = [r.origin.net_force for r in (results or {}).values() if r.origin.balanced is False]
-    if forces:
-        count = f"{len(forces)} of {len(results)} results: " if results and len(results) > 1 else ""
-        figure.supxlabel(f"{count}not in balance: net forces on disks reach {max(forces):.2g} p·d", color=UNSTABLE)
+    unbalanced = [r.origin.net_force for r in (results or {}).values() if r.origin.balanced is False]
+    if unbalanced:
+        forces = [force for force in unbalanced if force is not None]
+        reach = f": net forces on disks reach {max(forces):.2g} p·d" if forces else ""
+        count = f"{len(unbalanced)} of {len(results)} results: " if results and len(results) > 1 else ""
+        figure.supxlabel(f"{count}not in balance{reach}", color=UNSTABLE)
     picture = BytesIO()
-    figure.savefig(picture, dpi=dpi, format=kind)
+    try:
+        figure.savefig(picture, dpi=dpi, format=kind)
+    except ValueError as error:  # no number of an axis can be drawn, as on a logarithmic one
+        raise InputError(f"the figure cannot be drawn: {error}") from error
     write_atomically(path, picture.getvalue())
 
 
