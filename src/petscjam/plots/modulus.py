@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.analysis.statistics import alike, average
-from petscjam.base.errors import SolverError
+from petscjam.base.errors import InputError, SolverError
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, arrows, draw_cell, given
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
@@ -172,7 +172,8 @@ def draw_fields(figure: FigureBase, g: ComplexModulus, most: int = 2500) -> None
     """
     panels = figure.subplots(2, len(g.field_omega), squeeze=False)
     packing = g.geometry
-    assert packing is not None
+    if packing is None:
+        raise InputError("the result has displacements, but not the packing they belong to")
     x = packing.box.wrap(packing.positions)
     centre = packing.box.cell.sum(0) / 2
     affine = (x - centre) @ strain_mode(g.strain).gradient.T
