@@ -345,3 +345,10 @@ def test_parameter_files_of_wrong_content(tmp_path, capfd, text, words):
     assert str(file) in err
     assert words in err
     assert not folder.exists()
+
+
+def test_a_run_without_its_rate_is_no_picture(files, tmp_path, capfd):
+    copy = tmp_path / "run.h5"
+    copy.write_bytes(files["run"].read_bytes())
+    spoil(copy, ("settings", "rate"), None)
+    assert outcome(capfd, copy, "plot", copy) == 2

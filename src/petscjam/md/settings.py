@@ -16,6 +16,13 @@ from petscjam.md.model import Model
 MODEL = {"model": "str", "law": "str", "Q": "float", "potential": "str"}
 
 
+class History(dict[str, Any]):
+    """Settings of a strain history; a missing one is refused by name."""
+
+    def __missing__(self, name: str) -> Any:
+        raise InputError(f"settings: {name} is missing")
+
+
 @dataclass(frozen=True, eq=False)
 class Settings:
     """The settings of a run.
@@ -94,4 +101,4 @@ class Settings:
             check_type(f"settings: {name}", found.get(name), annotation)
         values = {item.name: found.pop(item.name) for item in own if item.name in found}
         model = Model.from_settings(found)
-        return cls(model, **values, history={k: v for k, v in found.items() if k not in model.settings})
+        return cls(model, **values, history=History((k, v) for k, v in found.items() if k not in model.settings))
