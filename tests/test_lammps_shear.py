@@ -30,9 +30,12 @@ def some_state(n=64, seed=1, strain=1.3, radii=None):
     """Disks that overlap and move at random, on images anywhere."""
     random = np.random.default_rng(seed)
     state = random_state(n, 0.8, seed)
+    cell = state.length * np.array([1.25, 0.8])
     return replace(
         state,
-        positions=state.positions + state.length * random.integers(-2, 3, (n, 2)),
+        positions=state.positions * [1.25, 0.8] + cell * random.integers(-2, 3, (n, 2)),
+        length=cell[0],
+        height=cell[1],
         velocities=0.1 * random.normal(size=(n, 2)),
         spins=0.2 * random.normal(size=n),
         radii=state.radii if radii is None else radii,
@@ -84,7 +87,7 @@ def test_springs_and_the_label_are_those_of_the_potential(dumped, name):
 def test_a_step_left_out_is_one_that_the_contacts_bear(tmp_path):
     """Random positions in a quarter of the room: dozens of contacts on a disk."""
     state = some_state()
-    write(replace(state, length=0.5 * state.length), tmp_path, dt=None)
+    write(replace(state, length=0.5 * state.length, height=0.5 * state.height), tmp_path, dt=None)
     dt = float(re.search(r"variable dt index (\S+)", (tmp_path / "in.shear").read_text())[1])
     assert dt < CD_rot.step(None, "heun")
 
@@ -141,6 +144,16 @@ def test_strain_counts_turns_of_the_cell(dumped):
     assert first.box.cell[1, 0] == pytest.approx(-3)
 
 
+def test_strain_counts_turns_of_a_long_cell(dumped):
+    """It turns over after each strain of Lx/Ly = 1.6."""
+    path = dumped / "end.dump"
+    path.write_text(path.read_text().replace("-3.0 10 -3.0", "-3.0 16 -3.0"))
+    last = read_lammps(dumped)
+    assert (last.length, last.height) == (16, 10)
+    assert last.strain == pytest.approx(-0.3 + 1.6)  # 1.3 and 34 time units at 0.01 make 1.64
+    assert last.box.cell[1, 0] == pytest.approx(-3)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
@@ -148,7 +161,7 @@ def test_strain_counts_turns_of_the_cell(dumped):
         ("7.5 9.25", "7.5", "damaged"),
         ("2 2 7.5 9.25 0 0.25 -0.125 0.7\n", "", r"\(1, 8\) numbers, not \(2, 8\)"),
         ("omegaz", "omegax", "columns"),
-        ("-3.0 10 -3.0", "-3.0 12 -3.0", "square"),
+        ("-3.0 10 -3.0", "8.0 10 -3.0", "the cell is -1 x 10"),
         ("ITEM: TIMESTEP", "", "no frame"),
     ],
 )
@@ -190,7 +203,7 @@ def test_log_without_a_table_is_refused(tmp_path):
         ({"rate": np.nan}, "rate.*nan"),
         ({"strain": -1.0}, "strain.*-1.0"),
         ({"dt": 0.5}, "dt.*0.5"),
-        ({"dt": 0.1}, "dt must be at most 0.0.* for these contacts, not 0.1"),
+        ({"dt": 0.12}, r"dt must be at most 0\.1.* for these contacts, not 0\.12"),
         ({"every": 0}, "every.*0"),
     ],
 )

@@ -76,13 +76,13 @@ def fast(integrator):
 
 def apart(a, b):
     """Largest difference of two states, whatever images they are given by."""
-    L = a.length
+    H = a.height
     dx, dv = a.positions - b.positions, a.velocities - b.velocities
-    rows = np.rint(dx[:, 1] / L)
-    dx[:, 1] -= rows * L
-    dx[:, 0] -= rows * a.strain * L
-    dx[:, 0] -= np.rint(dx[:, 0] / L) * L
-    dv[:, 0] -= rows * a.rate * L
+    rows = np.rint(dx[:, 1] / H)
+    dx[:, 1] -= rows * H
+    dx[:, 0] -= rows * a.strain * H
+    dx[:, 0] -= np.rint(dx[:, 0] / a.length) * a.length
+    dv[:, 0] -= rows * a.rate * H
     return max(np.abs(dx).max(), np.abs(dv).max(), np.abs(a.spins - b.spins).max())
 
 
@@ -117,7 +117,7 @@ def test_a_call_for_many_steps(name, integrator):
 
 def with_a_giant(state, share):
     """The first disk has a radius of ``share`` of the cell."""
-    return replace(state, radii=np.append(share * state.length, state.radii[1:]))
+    return replace(state, radii=np.append(share * min(state.length, state.height), state.radii[1:]))
 
 
 @EACH
@@ -129,6 +129,23 @@ def test_steps_of_a_giant_among_small_disks(integrator):
         assert apart(simulation.state, exact) < 1e-12
         advance(simulation, 1)
     assert simulation.rebuilds > 1
+
+
+@pytest.mark.parametrize("shape", [(9.0, 3.0), (3.0, 9.0)], ids=str)
+def test_steps_in_a_long_or_a_high_cell(shape):
+    """Sheared by many widths, the tilt turning over on the way."""
+    model, dt = Model(MODELS["CD_rot"], 2.0), 0.01
+    state = disks(12, 30)
+    x = state.positions / [state.length, state.height] * shape
+    turnover = (1.5 - 1e-3) * shape[0] / shape[1] * (1 if state.rate > 0 else -1)
+    state = replace(state, positions=x, length=shape[0], height=shape[1], strain=turnover)
+    simulation = Simulation(state, model, dt)
+    tilts = []
+    for exact in islice(slow(state, model, dt, "heun"), 20):
+        assert apart(simulation.state, exact) < 1e-12
+        tilts.append(exact.box.cell[1, 0] / shape[0])
+        advance(simulation, 1)
+    assert max(tilts) > 0.4 and min(tilts) < -0.4
 
 
 def test_disks_that_may_meet_two_images_of_another_are_refused():
@@ -163,7 +180,7 @@ def test_sums_are_those_of_the_slow_twin(law, others):
     advance(simulation, steps)
     total, _, _ = simulation.collect()
     states = list(islice(slow(state, model, dt, "heun", masses), steps + 1))
-    pressure = trapezoid([np.array(twin.pressure_tensor(s, model, masses)) for s in states]) * state.length**2
+    pressure = trapezoid([np.array(twin.pressure_tensor(s, model, masses)) for s in states]) * state.area
     for name, place in PRESSURE.items():
         assert total[getattr(kernels, name)] == pytest.approx(pressure[place], abs=1e-10), name
     couples = [model.rotational_drag * s.rate / 2 * np.sum(s.spins + s.rate / 2) for s in states]
@@ -176,10 +193,10 @@ def test_sums_are_those_of_the_slow_twin(law, others):
 
 def tiled(state, times):
     """The same flow in a cell ``times`` as wide and as high."""
-    L = state.length
+    L, H = state.length, state.height
     nx, ny = (a.ravel()[:, None] for a in np.meshgrid(np.arange(times), np.arange(times)))
-    x = np.stack([state.positions[:, 0] + (nx + ny * state.strain) * L, state.positions[:, 1] + ny * L], 2)
-    v = np.stack([state.velocities[:, 0] + ny * state.rate * L, state.velocities[:, 1] + 0 * ny], 2)
+    x = np.stack([state.positions[:, 0] + nx * L + ny * state.strain * H, state.positions[:, 1] + ny * H], 2)
+    v = np.stack([state.velocities[:, 0] + ny * state.rate * H, state.velocities[:, 1] + 0 * ny], 2)
     return State(
         x.reshape(-1, 2),
         v.reshape(-1, 2),
@@ -189,6 +206,7 @@ def tiled(state, times):
         state.strain,
         state.rate,
         state.time,
+        height=times * H,
     )
 
 
@@ -203,7 +221,7 @@ def test_a_flow_repeated_in_a_large_cell_is_the_same_flow(name, integrator):
     for simulation in (small, large):
         for _ in range(10):
             advance(simulation, 1)
-    same_cell = [replace(s, length=state.length) for s in (large.state, tiled(small.state, times))]
+    same_cell = [replace(s, length=state.length, height=state.height) for s in (large.state, tiled(small.state, times))]
     assert apart(*same_cell) < 1e-11
     one, many = small.collect(), large.collect()
     assert close(many[0], times**2 * one[0], 1e-9)
@@ -425,7 +443,7 @@ def test_angular_momentum():
     """Of a cluster in the open: VOT's integrator to second order, one evaluation a step to rounding."""
     start, model = strip(0.95), Model(MODELS["CD_rot"], 1.0)
     x = np.where(start.positions < start.length / 2, start.positions + start.length, start.positions)
-    start = replace(start, positions=x, velocities=0.1 * start.peculiar, length=20.0, rate=0.0, strain=0.0)
+    start = replace(start, positions=x, velocities=0.1 * start.peculiar, length=20.0, height=20.0, rate=0.0, strain=0.0)
 
     def change(simulation, _):
         return angular_momentum(simulation.state) - angular_momentum(start)
@@ -497,16 +515,16 @@ def test_the_order_of_the_disks_does_not_matter():
 def test_a_change_of_the_rate(bulk):
     """Velocities and spins scaled (VOT eqs. 40, 41), moved with the linear profile, or left as they are.
 
-    All this in the square cell; that some disks have left it since pairs were listed must not matter.
+    All this in the cell; that some disks have left it since pairs were listed must not matter.
     """
     state, model, dt = slowed(disks(9, 60)), Model(MODELS["CD_rot"], 1.0), 0.01
     rising = np.argmax(state.velocities[:, 1])
-    state = shifted(state, 0.0, state.length - state.positions[rising, 1] - 1e-6)
+    state = shifted(state, 0.0, state.height - state.positions[rising, 1] - 1e-6)
     simulation = with_a_wide_list(state, model, dt)
     advance(simulation, 12)
     assert simulation.rebuilds == 2
     now = simulation.state.wrapped()
-    assert simulation.state.positions[rising, 1] > state.length
+    assert simulation.state.positions[rising, 1] > state.height
     new = 1.5 * now.rate
     v, w = now.velocities.copy(), now.spins
     if bulk == "scale":
@@ -601,9 +619,9 @@ def test_a_sample_of_disks_and_contacts():
     assert moments[0] == pytest.approx((rows / state.rate).sum(0))
     assert moments[1:] == pytest.approx(rows.T @ rows / state.rate**2)
     assert np.abs(rows / state.rate - scatter).max(1).min() < 1e-10
-    square = state.wrapped()
-    layer = (square.positions[:, 1] / state.length * 4).astype(int)
-    for k, weight in enumerate((np.ones(40), square.velocities[:, 0], np.pi * state.radii**2)):
+    inside = state.wrapped()
+    layer = (inside.positions[:, 1] / state.height * 4).astype(int)
+    for k, weight in enumerate((np.ones(40), inside.velocities[:, 0], np.pi * state.radii**2)):
         assert layers[k] == pytest.approx(np.bincount(layer, weight, 4))
 
 

@@ -31,27 +31,29 @@ def test_every_law_is_tried():
 
 
 def disks(seed, n=10, phi=0.9, far=True):
-    """Random overlapping disks, sheared, spinning, described by images anywhere."""
+    """Random overlapping disks, sheared, spinning, in a cell of any height, described by images anywhere."""
     rng = np.random.default_rng(seed)
     radii = rng.uniform(0.4, 0.7, n)
     L = cell_length(radii, phi)
     strain, rate = rng.uniform(-3, 3), rng.uniform(-1, 1)
-    state = State(rng.random((n, 2)) * L, rng.normal(size=(n, 2)), rng.normal(size=n), radii, L, strain, rate)
-    return by_other_images(state, rng.integers(-2, 3, (n, 2))) if far else state
+    x, v, spins, steps = rng.random((n, 2)), rng.normal(size=(n, 2)), rng.normal(size=n), rng.integers(-2, 3, (n, 2))
+    cell = L * (f := rng.uniform(0.87, 1.15)), L / f
+    state = State(x * cell, v, spins, radii, cell[0], strain, rate, height=cell[1])
+    return by_other_images(state, steps) if far else state
 
 
 def cluster(seed):
     """The same disks in the open."""
-    return replace(disks(seed, far=False), length=100.0, rate=0.0)
+    return replace(disks(seed, far=False), length=100.0, height=100.0, rate=0.0)
 
 
 def by_other_images(state, steps):
     """The same disks, each by the image ``steps`` (N, 2) cells away in x and y."""
     m, n = np.transpose(steps)
-    x, v, L = state.positions.copy(), state.velocities.copy(), state.length
-    x[:, 0] += (m + n * state.strain) * L
-    x[:, 1] += n * L
-    v[:, 0] += n * state.rate * L
+    x, v, H = state.positions.copy(), state.velocities.copy(), state.height
+    x[:, 0] += m * state.length + n * state.strain * H
+    x[:, 1] += n * H
+    v[:, 0] += n * state.rate * H
     return replace(state, positions=x, velocities=v)
 
 
@@ -239,7 +241,8 @@ def test_any_image_will_do(state, model, seed):
 @given(states, models, st.integers(-3, 3))
 def test_a_strain_of_whole_cells_is_none(state, model, cells):
     wrapped = state.wrapped()
-    assert close(everything(replace(wrapped, strain=wrapped.strain + cells), model), everything(wrapped, model))
+    turned = replace(wrapped, strain=wrapped.strain + cells * state.length / state.height)
+    assert close(everything(turned, model), everything(wrapped, model))
 
 
 @given(states, models)
@@ -276,18 +279,24 @@ def test_elastic_force_is_minus_the_gradient_of_the_energy(state, model, seed):
     assert power == pytest.approx(-np.sum(twin.disk_forces(still, model)[0] * direction), abs=1e-6)
 
 
+def grown(state, factors):
+    """The state and its lattice with x and y multiplied by two factors."""
+    x, (length, height) = state.positions * factors, factors * np.array([state.length, state.height])
+    strain = state.strain * factors[0] / factors[1]
+    return replace(state, positions=x, length=length, height=height, strain=strain)
+
+
 @given(states, models)
 def test_elastic_pressure_is_the_derivative_of_the_energy_by_the_cell(state, model):
-    """Simple shear: −L² p_xy. Growth of the cell: −2 L² p."""
+    """Simple shear: −Lx Ly p_xy. Growth of the cell in x: −Lx Ly p_xx, in both directions: −2 Lx Ly p."""
     still = replace(state, velocities=0 * state.velocities, spins=0 * state.spins, rate=0.0)
-    elastic, area = twin.pressure_tensor(still, model)[0], state.length**2
+    elastic, area = twin.pressure_tensor(still, model)[0], state.area
     sheared = np.stack([still.positions[:, 1], np.zeros(len(state))], 1)
     dE = slope(lambda h: twin.energy(along(still, h, positions=sheared, strain=1.0), model))
     assert dE == pytest.approx(-area * elastic[0, 1], abs=1e-6)
-    dE = slope(
-        lambda h: twin.energy(replace(still, positions=still.positions * (1 + h), length=still.length * (1 + h)), model)
-    )
-    assert dE == pytest.approx(-area * np.trace(elastic), abs=1e-6)
+    for growth, pressure in (([1, 1], np.trace(elastic)), ([1, 0], elastic[0, 0])):
+        dE = slope(lambda h, growth=growth: twin.energy(grown(still, 1 + h * np.array(growth)), model))
+        assert dE == pytest.approx(-area * pressure, abs=1e-6)
 
 
 @given(states, models)
@@ -296,7 +305,7 @@ def test_dissipation_is_the_power_of_the_damping(state, model):
     forces, torques = twin.disk_forces(state, model)
     elastic, _ = twin.disk_forces(state, without_damping(model))
     damping = forces - elastic
-    shear = state.length**2 * twin.pressure_tensor(state, model)[1][0, 1] * state.rate
+    shear = state.area * twin.pressure_tensor(state, model)[1][0, 1] * state.rate
     vorticity = model.rotational_drag * np.sum(state.spins + state.rate / 2) * state.rate / 2
     power = np.sum(damping * state.peculiar) + torques @ state.spins + shear - vorticity
     assert twin.dissipation(state, model) == pytest.approx(-power, rel=1e-9, abs=1e-9)
@@ -305,10 +314,10 @@ def test_dissipation_is_the_power_of_the_damping(state, model):
 
 @given(states, models, st.sampled_from([1.0, 3.0, np.linspace(0.5, 2.0, 10)]))
 def test_energy_balance(state, model, masses):
-    """Along the exact motion, dE/dt = −γ̇ L² p_xy + couple of the fluid − dissipation."""
+    """Along the exact motion, dE/dt = −γ̇ Lx Ly p_xy + couple of the fluid − dissipation."""
     motion = state.velocities, *twin.accelerations(state, model, masses), state.rate
     dE = slope(lambda h: twin.energy(along(state, h, *motion), model, masses))
-    work = -state.rate * state.length**2 * sum(twin.pressure_tensor(state, model, masses))[0, 1]
+    work = -state.rate * state.area * sum(twin.pressure_tensor(state, model, masses))[0, 1]
     couple = state.rate / 2 * model.rotational_drag * np.sum(state.spins + state.rate / 2)
     heat = twin.dissipation(state, model)
     assert dE == pytest.approx(work + couple - heat, abs=1e-5 * max(1.0, heat))
@@ -353,7 +362,7 @@ def test_at_the_centres_the_law_is_that_of_the_solver(state, law):
     assert close(forces - elastic, -B.apply(*motion).real[:, :2] / Q)
     assert twin.dissipation(state, model) == pytest.approx(B.product(motion, motion).real / Q, rel=1e-9)
     strained = (np.zeros((len(state), 3)) + 0j, [1.0])
-    shear = -twin.pressure_tensor(state, model)[1][0, 1] * state.length**2
+    shear = -twin.pressure_tensor(state, model)[1][0, 1] * state.area
     assert shear == pytest.approx(B.product(strained, motion).real / Q, abs=1e-9)
 
 
@@ -374,7 +383,7 @@ def test_at_the_contact_point_the_law_is_that_of_the_solver(beta, squeezed):
     assert close(torques, squeezed * d * damping[:, 2])
     assert twin.dissipation(state, model) == pytest.approx(B.product(motion, motion).real / Q, rel=1e-9)
     strained = (np.zeros((len(state), 3)) + 0j, [1.0])
-    shear = -twin.pressure_tensor(state, model)[1][0, 1] * state.length**2
+    shear = -twin.pressure_tensor(state, model)[1][0, 1] * state.area
     assert shear == pytest.approx(B.product(strained, motion).real / Q, abs=1e-9)
 
 

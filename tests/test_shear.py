@@ -74,6 +74,25 @@ def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, 
     assert (undisturbed.rows["parts"].max() > 1) == (dt is not None)
 
 
+def test_any_cell_survives_the_file_and_a_stop(tmp_path):
+    """A file or a checkpoint of older versions has no height: its cell is a square."""
+    file, square = tmp_path / "run.h5", random_state(36, 0.82, 3)
+    for height in (square.length, 0.7 * square.length):
+        start = replace(square, length=square.area / height, height=height, strain=0.4)
+        start = replace(start, positions=square.positions * [start.length / square.length, height / square.height])
+        given = {"model": "CD_rot", "rate": 1e-2, "strain": 0.6, "start": start, "overwrite": True}
+        undisturbed = pj.md.shear(**given)
+        with pytest.raises(StoppedError):
+            pj.md.shear(**given, output=file, progress=stop_at(0.45))
+        assert pj.md.read(file).state.height == height
+        if height == square.length:
+            with h5py.File(file, "r+") as h5:
+                h5.attrs["schema"] = 2
+                del h5["state"].attrs["height"], h5["checkpoint/height"]
+            assert pj.md.read(file).state.height == height
+        assert same(pj.md.shear(**given, output=file, resume=True), undisturbed) == []
+
+
 KILLED = """
 import sys, petscjam as pj
 from petscjam.md import recording

@@ -35,8 +35,8 @@ def with_image(state, images):
     """The same state by other images of its disks."""
     a, b = np.asarray(images).T
     x, v = state.positions.copy(), state.velocities.copy()
-    x += state.length * np.column_stack([a + b * state.strain, b])
-    v[:, 0] += b * state.rate * state.length
+    x += np.column_stack([a * state.length + b * state.strain * state.height, b * state.height])
+    v[:, 0] += b * state.rate * state.height
     return replace(state, positions=x, velocities=v)
 
 
@@ -55,7 +55,7 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
     rng = np.random.default_rng(seed)
     strain = np.linspace(0, 10, rows + 1)[1:]
     rates = np.full(rows, rate) if np.ndim(rate) == 0 else np.asarray(rate)
-    state = replace(flowing(2480, 0.8, seed), length=LENGTH, strain=10.0)
+    state = replace(flowing(2480, 0.8, seed), length=LENGTH, height=LENGTH, strain=10.0)
     settle = 1 + np.exp(-strain)
     Q = settings.get("Q", 1.0)
     newton = 0.6 * rates / Q * settle * (1 + 0.05 * rng.normal(size=rows))
@@ -131,18 +131,19 @@ def test_touching_and_concentric_circles_are_no_trouble(distance):
 
 def test_the_map_is_that_of_a_loop_over_images():
     state, radius = flowing(60, 0.5, 3, gradient=rough(3), strain=0.37), 3.0
+    state = replace(state, length=1.1 * state.length, height=state.height / 1.1)
     phi, rate = local_maps(state, radius)
     shifts = [(a, b) for a in (-3, -2, -1, 0, 1, 2, 3) for b in (-3, -2, -1, 0, 1, 2, 3)]
-    L = state.length
+    L, H = state.length, state.height
     for i in range(0, len(state), 7):
         area, rows, values = 0.0, [], []
         for j in range(len(state)):
             for a, b in shifts:
-                r = state.positions[j] + L * np.array([a + b * state.strain, b]) - state.positions[i]
+                r = state.positions[j] + np.array([a * L + b * state.strain * H, b * H]) - state.positions[i]
                 area += _overlap(np.array([np.hypot(*r)]), radius, state.radii[j : j + 1])[0]
                 if np.hypot(*r) <= radius:
                     rows.append([1, *r])
-                    values.append(state.velocities[j, 0] + b * state.rate * L)
+                    values.append(state.velocities[j, 0] + b * state.rate * H)
         assert phi[i] == pytest.approx(area / (np.pi * radius**2), rel=1e-12)
         assert rate[i] == pytest.approx(np.linalg.lstsq(rows, values, rcond=None)[0][2], rel=1e-8)
 
@@ -211,6 +212,19 @@ def test_the_profile_of_uniform_shear():
     assert p.vx == pytest.approx(RATE * p.y, rel=1e-12)
     assert p.rate == pytest.approx(np.full(LAYERS, RATE), rel=1e-9)
     assert p.vx_error == pytest.approx(np.zeros(LAYERS), abs=1e-15)
+
+
+def test_the_profile_of_a_cell_of_another_shape():
+    """Layers fill its height; the disks of a layer lie along its length."""
+    run = synthetic_run()
+    p, other = profile(run), profile(replace(run, state=replace(run.state, length=2 * LENGTH)))
+    assert other.y.tolist() == p.y.tolist()
+    assert other.rate.tolist() == p.rate.tolist()
+    assert other.phi == pytest.approx(p.phi / 2)
+    layers = profile(replace(run, state=replace(run.state, height=2 * LENGTH)))
+    assert layers.y == pytest.approx(2 * p.y)
+    assert layers.rate[1:-1] == pytest.approx(p.rate[1:-1] / 2)
+    assert layers.phi == pytest.approx(p.phi / 2)
 
 
 def test_the_profile_leaves_out_the_start():
@@ -317,8 +331,9 @@ def test_a_frame_says_how_its_disks_repel(tmp_path, name):
     assert pj.import_packing(write_frame(state, tmp_path, 0)).potential_name == name
 
 
-def test_a_frame_is_a_packing_for_the_importer(tmp_path):
-    state = flowing(100, 0.8, strain=-3.3)
+@pytest.mark.parametrize("height", [None, 8.0, 14.0])
+def test_a_frame_is_a_packing_for_the_importer(tmp_path, height):
+    state = replace(flowing(100, 0.8, strain=-3.3), height=height)
     packing = pj.import_packing(write_frame(state, tmp_path, 0))
     assert packing.potential_name == state.potential_name == "harmonic-relative"
     assert packing.box.cell == pytest.approx(state.box.cell)

@@ -248,19 +248,19 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
             (xlo, xhi, xy), (ylo, yhi, _) = (map(parsed, line.split()) for line in lines[4:6])
         except (ValueError, IndexError) as error:
             raise InputError(f"no frame {frame}, or a damaged one ({error})") from error
-        width, length = xhi - xlo - abs(xy), yhi - ylo  # the bounds are those of all corners
+        length, height = xhi - xlo - abs(xy), yhi - ylo  # the bounds are those of all corners
         for good, what in (
             (columns == f"ITEM: ATOMS {COLUMNS}", f"the columns are {columns!r}, not {COLUMNS}"),
             (disks.shape == (count, 8), f"frame {frame} has {disks.shape} numbers, not {(count, 8)}"),
-            (np.isclose(width, length, rtol=1e-9), f"the cell is {width:g} x {length:g}, not a sheared square"),
+            (length > 0 and height > 0, f"the cell is {length:g} x {height:g}"),
         ):
             if not good:
                 raise InputError(what)
-        elapsed, tilt = step * dt, xy / length
-        strain = tilt + round(strain + rate * elapsed - tilt)  # LAMMPS keeps the tilt between −1/2 and 1/2
-        return State(
-            disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7], length, strain, rate, time + elapsed, potential
-        )
+        length = height if np.isclose(length, height, rtol=1e-9) else length  # rounding
+        elapsed, tilt, width = step * dt, xy / height, length / height
+        strain = tilt + width * round((strain + rate * elapsed - tilt) / width)  # LAMMPS keeps |xy| below Lx/2
+        moving = (disks[:, 2:4], disks[:, 4:6], disks[:, 6], disks[:, 7])
+        return State(*moving, length, strain, rate, time + elapsed, potential, height)
 
 
 def read_log(path: str | PathLike[str]) -> dict[str, Array]:
@@ -302,14 +302,14 @@ def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> s
 def _data(state: State, rolls: bool) -> str:
     """Return LAMMPS's data file of disks inside the cell; with spins only if the model has rotations."""
     sizes, types = np.unique(state.radii, return_inverse=True)
-    L, tilt = state.length, float(state.box.cell[1, 0])
+    tilt = float(state.box.cell[1, 0])
     atoms = np.column_stack([types + 1, 2 * state.radii, state.positions])
     moving = np.column_stack([state.velocities, state.spins * rolls])
     return "\n".join(
         [
             f"disks at a strain of {state.strain}\n",
             f"{len(state)} atoms\n{len(sizes)} atom types\n",
-            f"0.0 {L} xlo xhi\n0.0 {L} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt} 0.0 0.0 xy xz yz\n",
+            f"0.0 {state.length} xlo xhi\n0.0 {state.height} ylo yhi\n-0.5 0.5 zlo zhi\n{tilt} 0.0 0.0 xy xz yz\n",
             "Atoms # sphere\n",
             *(f"{i} {t:.0f} {d} 1.0 {x} {y} 0.0" for i, (t, d, x, y) in enumerate(atoms.tolist(), 1)),
             "\nVelocities\n",

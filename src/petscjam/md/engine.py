@@ -14,7 +14,7 @@ from petscjam.md.state import State
 
 BINS = 100  # of the collision angle, 3.6° each (VOT fig. 8)
 TICKS = 1024  # of a step: largest number of parts, a power of 2
-# Sums over contacts and disks: L² times the elastic, dissipative and kinetic pressure tensor (VOT eqs. 12–14:
+# Sums over contacts and disks: Lx Ly times the elastic, dissipative and kinetic pressure tensor (VOT eqs. 12–14:
 # first index force or velocity, second index separation), contacts, power of heat and of the shear stress, and
 # energy brought by sudden changes of the strain rate.
 SUMS = 14
@@ -48,8 +48,10 @@ class Engine(Protocol):
 
     Attributes
     ----------
-    dt, L : float
-        Time step in τe, and edge of the cell in ds.
+    dt : float
+        Time step in τe.
+    length, height : float
+        Edges Lx and Ly of the cell, in ds.
     strain, rate, time : float
         At the current time; the rate in 1/τe.
     steps, substeps : int
@@ -64,7 +66,8 @@ class Engine(Protocol):
 
     CHECKPOINT: ClassVar[Mapping[str, str]]
     dt: float
-    L: float
+    length: float
+    height: float
     strain: float
     rate: float
     time: float

@@ -25,7 +25,7 @@ def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
     Both are averages over a circle around the centre of a disk. The packing fraction is the area of disks inside
     the circle, divided by the area of the circle; of a disk on its edge only the part inside counts. The strain
     rate is ∂vx/∂y of a least-squares fit of the velocity field v0 + G·(r − r0) to the disks with centres inside.
-    Images across the boundary move with γ̇L.
+    Images across the boundary move with γ̇Ly.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ class Profile:
     vx_error, rate_error, phi_error : (M,)
         Standard errors over the blocks of the run; NaN if there is one only.
     length : float
-        Edge L of the cell: the layers fill it.
+        Ly of the cell: the layers fill it.
     mean_rate, mean_phi : float
-        Of the cell. vx increases by ``mean_rate`` L from one image to the next.
+        Of the cell. vx increases by ``mean_rate`` Ly from one image to the next.
     """
 
     y: Array
@@ -150,16 +150,16 @@ def profile(run: Run, after: float | None = None) -> Profile:
     )
     if not disks.sum(0).all():
         raise InputError(f"profile: layer {int(np.argmin(disks.sum(0)))} contains no disk")
-    L, layers = run.state.length, disks.shape[1]
-    height = L / layers
+    state, layers = run.state, disks.shape[1]
+    thickness = state.height / layers
     rate = float(run.rate[run.after(after)].mean())
 
     def means(samples: Array, disks: Array, vx: Array, area: Array) -> Array:
         """Return vx, dvx/dy and φ, (3, …, M)."""
         v = vx / np.where(disks > 0, disks, np.nan)
         rise = np.roll(v, -1, axis=-1) - np.roll(v, 1, axis=-1)
-        rise[..., [0, -1]] += rate * L
-        return np.stack([v, rise / (2 * height), area / (samples[..., None] * L * height)])
+        rise[..., [0, -1]] += rate * state.height
+        return np.stack([v, rise / (2 * thickness), area / (samples[..., None] * state.length * thickness)])
 
     sums = (samples, disks, vx, area)
     values = means(*(x.sum(0) for x in sums))
@@ -168,9 +168,9 @@ def profile(run: Run, after: float | None = None) -> Profile:
         errors = np.sqrt((count - 1) * without.var(axis=1))
     else:
         errors = np.full_like(values, np.nan)
-    y = (np.arange(layers) + 0.5) * height
+    y = (np.arange(layers) + 0.5) * thickness
     (v, slope, phi), (v_error, slope_error, phi_error) = values, errors
-    return Profile(y, v, slope, phi, v_error, slope_error, phi_error, L, rate, run.state.phi)
+    return Profile(y, v, slope, phi, v_error, slope_error, phi_error, state.height, rate, state.phi)
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,12 +148,12 @@ def separation(c, q, pairs, strain, rate):
     pairs : Pairs
     strain, rate : float
     """
-    a, b, image, L = pairs.i[c], pairs.j[c], c - pairs.chunks[-1], pairs.L
+    a, b, image = pairs.i[c], pairs.j[c], c - pairs.chunks[-1]
     x, y, vx, vy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2], q[b, 3] - q[a, 3]
     if image >= 0:
-        x += (pairs.nx[image] + pairs.ny[image] * strain) * L
-        y += pairs.ny[image] * L
-        vx += pairs.ny[image] * rate * L
+        x += (pairs.nx[image] + pairs.ny[image] * (strain * pairs.aspect)) * pairs.length
+        y += pairs.ny[image] * pairs.height
+        vx += pairs.ny[image] * rate * pairs.height
     return x, y, vx, vy
 
 
@@ -190,11 +190,12 @@ def _events(start, n, touch, touching, q, pairs, now, counts, angles):
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _move_to_images(first, n, pairs, now, X, Y, U):
     """Change separations and velocities of a batch to those of the images of the pairs."""
+    tilt = now.strain * pairs.aspect
     for c in range(n):
         row = pairs.ny[first + c]
-        X[c] += (pairs.nx[first + c] + row * now.strain) * pairs.L
-        Y[c] += row * pairs.L
-        U[c] += row * now.rate * pairs.L
+        X[c] += (pairs.nx[first + c] + row * tilt) * pairs.length
+        Y[c] += row * pairs.height
+        U[c] += row * now.rate * pairs.height
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -338,7 +339,7 @@ def _correct(chunk, disks, scheme):
 
 
 @njit(cache=True, error_model="numpy")
-def jump(q, m, L, old, new, bulk):
+def jump(q, m, height, old, new, bulk):
     """Change the strain rate; return the change of the peculiar kinetic and rotational energy.
 
     ``bulk``: 0 changes only the boundary, 1 scales velocities and spins (VOT eqs. 40, 41), 2 adds the change of
@@ -349,7 +350,8 @@ def jump(q, m, L, old, new, bulk):
     q : (N, 5)
         Overwritten.
     m : (N,)
-    L : float
+    height : float
+        Ly.
     old, new : float
         Strain rates.
     bulk : int
@@ -365,8 +367,8 @@ def jump(q, m, L, old, new, bulk):
         q[a, 4] *= factor
         if bulk == 2:
             q[a, 2] += (new - old) * q[a, 1]
-        elif bulk == 0:  # an image outside the square moves with its row of images
-            q[a, 2] += (new - old) * L * np.floor(q[a, 1] / L)
+        elif bulk == 0:  # an image outside the cell moves with its row of images
+            q[a, 2] += (new - old) * height * np.floor(q[a, 1] / height)
         x, y, w = q[a, 2] - new * q[a, 1], q[a, 3], q[a, 4]
         gain += m[a] * (0.5 * (x * x + y * y) + 0.25 * w * w)
     return gain
@@ -465,7 +467,7 @@ def _change(disks, pairs, law, now, old, scheme, measured):
     Half of the stress counts for the part before, and half for this part.
     """
     sums, change, heun = measured.sums, now.rate - old, scheme.integrator == HEUN
-    measured.total[JUMPS] += jump(disks.q, disks.m, pairs.L, old, now.rate, scheme.bulk)
+    measured.total[JUMPS] += jump(disks.q, disks.m, pairs.height, old, now.rate, scheme.bulk)
     disks.F[:] = 0.0
     forces(disks.q, disks, pairs, law, now, scheme.threads, True, measured)
     kinetic(disks.q, disks.m, now.rate, sums)
@@ -554,14 +556,14 @@ def _moments(q, pairs, law, exponent, strain):
 
     Σ w, Σ w cos 2φ, Σ w sin 2φ, the same with the stiffness, Σ w ρ t, Σ w ρ², where w = 1 + zj/zi.
     """
-    images, L = pairs.chunks[-1], pairs.L
+    images, tilt = pairs.chunks[-1], strain * pairs.aspect
     z, X, Y = np.zeros(len(q)), np.empty(len(pairs.i)), np.empty(len(pairs.i))
     for c in range(len(pairs.i)):
         a, b, inverse = pairs.i[c], pairs.j[c], pairs.inverse[c]
         X[c], Y[c] = (q[b, 0] - q[a, 0]) * inverse, (q[b, 1] - q[a, 1]) * inverse
         if c >= images:
-            X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * strain) * L * inverse
-            Y[c] += pairs.ny[c - images] * L * inverse
+            X[c] += (pairs.nx[c - images] + pairs.ny[c - images] * tilt) * pairs.length * inverse
+            Y[c] += pairs.ny[c - images] * pairs.height * inverse
         if X[c] * X[c] + Y[c] * Y[c] <= 1.0:
             z[a] += 1.0
             z[b] += 1.0
@@ -654,25 +656,26 @@ def elastic_energy(q, pairs, law, exponent, strain):
 
 
 @njit(cache=True, error_model="numpy")
-def sample_disks(disks, L, rate, layers, sums):
+def sample_disks(disks, height, rate, layers, sums):
     """Add observables of disks to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`).
 
     Parameters
     ----------
     disks : Disks
-    L, rate : float
+    height, rate : float
+        Ly and γ̇.
     layers, sums : arrays
         Overwritten.
     """
     q, R = disks.q, disks.R
     for a in range(len(q)):
-        spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / L)
-        y, vx = q[a, 1] - row * L, q[a, 2] - row * rate * L
+        spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / height)
+        y, vx = q[a, 1] - row * height, q[a, 2] - row * rate * height
         sums[SPIN] += spin
         sums[SPIN2] += spin * spin
         sums[DVX2] += (vx - rate * y) ** 2
         sums[VY2] += q[a, 3] ** 2
-        layer = min(int(y / L * layers.shape[1]), layers.shape[1] - 1)
+        layer = min(int(y / height * layers.shape[1]), layers.shape[1] - 1)
         layers[0, layer] += 1.0
         layers[1, layer] += vx
         layers[2, layer] += np.pi * R[a] ** 2

@@ -36,8 +36,10 @@ class Pairs(NamedTuple):
         Where the pairs of each chunk begin; those after the last are pairs of two chunks or with an image.
     nx, ny : int64
         Images of these.
-    L, strain, skin : float
-        Edge of the cell, γ at the build, and largest gap between the disks of a pair.
+    length, height, aspect : float
+        Lx, Ly, and Ly/Lx.
+    strain, skin : float
+        γ at the build, and largest gap between the disks of a pair.
     """
 
     i: NDArray[np.uint32]
@@ -48,56 +50,60 @@ class Pairs(NamedTuple):
     chunks: NDArray[np.int64]
     nx: NDArray[np.int64]
     ny: NDArray[np.int64]
-    L: float
+    length: float
+    height: float
+    aspect: float
     strain: float
     skin: float
 
 
 @njit(cache=True, error_model="numpy")
-def wrap(q: Array, L: float, strain: float, rate: float) -> None:
-    """Move every disk to its image in the square, with the velocity of that image.
+def wrap(q: Array, length: float, height: float, strain: float, rate: float) -> None:
+    """Move every disk to its image with 0 ≤ x < Lx and 0 ≤ y < Ly, with the velocity of that image.
 
     Parameters
     ----------
     q : (N, ≥ 3)
         Overwritten.
-    L : float
+    length, height : float
+        Lx and Ly.
     strain, rate : float
         γ and γ̇.
     """
     for a in range(len(q)):
-        row = np.floor(q[a, 1] / L)
-        q[a, 1] -= row * L
-        if q[a, 1] >= L:  # rounding
+        row = np.floor(q[a, 1] / height)
+        q[a, 1] -= row * height
+        if q[a, 1] >= height:  # rounding
             row += 1
             q[a, 1] = 0.0
-        q[a, 0] -= row * strain * L
-        q[a, 2] -= row * rate * L
-        q[a, 0] -= np.floor(q[a, 0] / L) * L
-        if q[a, 0] >= L:
+        q[a, 0] -= row * strain * height
+        q[a, 2] -= row * rate * height
+        q[a, 0] -= np.floor(q[a, 0] / length) * length
+        if q[a, 0] >= length:
             q[a, 0] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def order_in_space(q: Array, L: float) -> Integers:
-    """Return the stable order of disks by square bins, one for each disk, row by row.
+def order_in_space(q: Array, length: float, height: float) -> Integers:
+    """Return the stable order of disks by bins, about one for each disk and about square, row by row.
 
     Parameters
     ----------
     q : (N, ≥ 2)
-        In the square.
-    L : float
+        With 0 ≤ x < Lx and 0 ≤ y < Ly.
+    length, height : float
+        Lx and Ly.
 
     Returns
     -------
     (N,)
     """
     n = len(q)
-    across = max(int(np.sqrt(n)), 1)
+    across, along = max(int(np.sqrt(n * (length / height))), 1), max(int(np.sqrt(n * (height / length))), 1)
     bin, order = np.empty(n, np.int64), np.empty(n, np.int64)
-    fill = np.zeros(across * across + 1, np.int64)
+    fill = np.zeros(across * along + 1, np.int64)
     for a in range(n):
-        column, row = min(int(q[a, 0] / L * across), across - 1), min(int(q[a, 1] / L * across), across - 1)
+        column, row = min(int(q[a, 0] / length * across), across - 1), min(int(q[a, 1] / height * along), along - 1)
         bin[a] = row * across + column
         fill[bin[a] + 1] += 1
     fill = np.cumsum(fill)
@@ -108,20 +114,21 @@ def order_in_space(q: Array, L: float) -> Integers:
 
 
 @njit(cache=True, error_model="numpy")
-def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pairs:
+def list_pairs(x: Array, R: Array, length: float, height: float, strain: float, skin: float) -> Pairs:
     """List the pairs of disks closer than Ri + Rj + ``skin``.
 
     Parameters
     ----------
     x : (N, 2)
-        Sorted, and in the square.
+        Sorted, with 0 ≤ x < Lx and 0 ≤ y < Ly.
     R : (N,)
-    L, strain, skin : float
+    length, height, strain, skin : float
     """
-    turns = np.rint(strain)
+    aspect = height / length
+    turns = np.rint(strain * aspect)
     lattice = np.zeros((2, 2))
-    lattice[0, 0] = lattice[1, 1] = L
-    lattice[1, 0] = (strain - turns) * L
+    lattice[0, 0], lattice[1, 1] = length, height
+    lattice[1, 0] = (strain * aspect - turns) * length
     i, j, chunks, images = find(x, lattice, R, skin)
     inverse = np.empty(len(i))
     for c in range(len(i)):
@@ -130,7 +137,7 @@ def list_pairs(x: Array, R: Array, L: float, strain: float, skin: float) -> Pair
     for c in range(len(images)):
         nx[c], ny[c] = images[c, 0] - int(turns) * images[c, 1], images[c, 1]
     touching, since = np.zeros(len(i), np.uint8), np.zeros(len(i), np.int64)
-    return Pairs(i, j, inverse, touching, since, chunks, nx, ny, L, strain, skin)
+    return Pairs(i, j, inverse, touching, since, chunks, nx, ny, length, height, aspect, strain, skin)
 
 
 @njit(cache=True)

@@ -30,7 +30,7 @@ class Interval:
     ----------
     disks : int
     area, dt : float
-        L² in ds², and the time step in τe.
+        Of the cell in ds², and the time step in τe.
     time, strain : float
         At the end.
     rate : float

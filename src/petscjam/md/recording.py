@@ -59,7 +59,7 @@ class Recorder:
         self, settings: Settings, engine: Engine, run: Run | None = None, saved: Mapping[str, Any] | None = None
     ) -> None:
         self.settings = settings
-        self.layers = max(4, int(engine.L))
+        self.layers = max(4, int(engine.height))
         self.rows: dict[str, list[float]] = {name: [] for name in ROWS}
         self.blocks: dict[str, list[Array]] = {name: [] for name in BLOCKS}
         self.saved = dict(saved or {})
@@ -147,7 +147,7 @@ class Recorder:
         self.block.angles += totals.angles
         interval = Interval(
             disks=len(engine),
-            area=engine.L**2,
+            area=engine.length * engine.height,
             dt=engine.dt,
             time=engine.time,
             strain=engine.strain,
@@ -248,5 +248,7 @@ def read_checkpoint(h5: h5py.Group, shapes: Mapping[str, str]) -> dict[str, Any]
     whole = {"tag", "contacts", "counts", "block_angles"}
     if "block_looked" in saved and saved["block_looked"].dtype.kind == "i":  # older files also have floats
         whole.add("block_looked")
+    if h5.attrs["schema"] == 2:
+        saved["height"] = saved["numbers"][:1]
     check_arrays("checkpoint", {**shapes, **CHECKPOINT}, saved, {"block_scatter"}, whole)
     return saved

@@ -25,7 +25,8 @@ from petscjam.md.state import State
 if TYPE_CHECKING:
     import h5py
 
-FORMAT, SCHEMA = "petscjam run", 2  # schema 1 had neither parts nor other potentials
+FORMAT, SCHEMA = "petscjam run", 3  # 1 had neither parts nor other potentials; 1 and 2 had only squares
+CELL = ("length", "height", "strain", "rate", "time")  # numbers of the state
 MISSED = 0.01  # largest error of the energy budget, relative to the heat, without a warning
 MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_N of VOT eqs. 31–34
 PARTS = ("elastic", "dissipative", "kinetic")  # of the pressure tensor
@@ -269,13 +270,13 @@ def write_run(h5: h5py.Group, run: Run) -> None:
     node = group(h5, "state")
     for key in ("positions", "velocities", "spins", "radii"):
         node[key] = getattr(run.state, key)
-    node.attrs.update({key: getattr(run.state, key) for key in ("length", "strain", "rate", "time")})
+    node.attrs.update({key: getattr(run.state, key) for key in CELL})
 
 
 def read_run(h5: h5py.Group) -> Run:
     """Return the run of an open HDF5 file, with the observables that it has."""
-    if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in (1, SCHEMA):
-        raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with schema {SCHEMA}")
+    if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in range(1, SCHEMA + 1):
+        raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with a schema up to {SCHEMA}")
     settings = Settings.from_attributes(h5["settings"].attrs)
     rows, blocks = _arrays(h5["rows"], ROWS), _arrays(h5["blocks"], BLOCKS)
     for name in ("time", "strain", "rate"):
@@ -285,9 +286,11 @@ def read_run(h5: h5py.Group) -> Run:
     rows |= {name: np.full(len(rows["time"]), value) for name, value in older.items()}
     check_arrays("rows", {name: "K" for name in rows}, rows)
     check_arrays("blocks", {name: f"B {BLOCKS[name].shape}" for name in blocks if name in BLOCKS}, blocks, {"scatter"})
-    node = h5["state"]
+    node, numbers = h5["state"], dict(h5["state"].attrs)
     arrays = {key: node[key][()] for key in ("positions", "velocities", "spins", "radii")}
-    state = State(**arrays, **dict(node.attrs), potential_name=settings.model.potential.name)
+    if h5.attrs["schema"] < 3:
+        numbers["height"] = numbers["length"]
+    state = State(**arrays, **{key: numbers[key] for key in CELL}, potential_name=settings.model.potential.name)
     return Run(settings, rows, blocks, state)
 
 

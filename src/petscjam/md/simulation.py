@@ -61,6 +61,7 @@ class Simulation:
         "tag": "N",
         "contacts": "C 3",
         "numbers": "5",
+        "height": "1",
         "counts": "2",
         "start": "T",
     }
@@ -76,7 +77,8 @@ class Simulation:
     ) -> None:
         self.model, self.integrator, self.threads = model, integrator, threads
         self.dt = model.step(dt, integrator)
-        self.L, self.strain, self.rate, self.time = state.length, state.strain, state.rate, state.time
+        self.length, self.height = state.length, state.height
+        self.strain, self.rate, self.time = state.strain, state.rate, state.time
         n = len(state)
         self.tag = np.arange(n)
         q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
@@ -102,9 +104,11 @@ class Simulation:
         self.steps = self.rebuilds = self.substeps = 0
         self._since = 0  # substep of the last build
         # A contact is identified by its disks: no disk may touch two images of another disk, or its own.
-        self._widest = state.length / 2 - float(np.sort(state.radii)[-2:].sum())
+        shortest = min(state.length, state.height)
+        self._widest = shortest / 2 - float(np.sort(state.radii)[-2:].sum())
         if self._widest < SKINS[0]:
-            raise InputError(f"shear: a cell of {state.length:.3g} is too small for disks of these sizes")
+            cell = f"{state.length:.3g} x {state.height:.3g}"
+            raise InputError(f"shear: a cell of {cell} is too small for disks of these sizes")
         rows = (n - 1) // CHUNK + 2
         counts, angles = np.zeros((rows, 3), np.int64), np.zeros((rows, 2, BINS), np.int64)
         self._measured = Measured(np.zeros((rows, SUMS)), counts, angles, np.zeros(SUMS))
@@ -120,12 +124,12 @@ class Simulation:
         """Sort the disks and list their pairs, ``contacts`` among them (:func:`open_contacts`)."""
         d = self._disks
         self.skin = min(max(self.skin, SKINS[0]), SKINS[1], self._widest)
-        wrap(d.q, self.L, self.strain, self.rate)
-        order = order_in_space(d.q, self.L)
+        wrap(d.q, self.length, self.height, self.strain, self.rate)
+        order = order_in_space(d.q, self.length, self.height)
         self.tag = self.tag[order]
         q = d.q[order]
         self._disks = d = Disks(q, d.p, d.F, d.R[order], d.m[order], q[:, :2].copy())
-        self._pairs = list_pairs(d.home, d.R, self.L, self.strain, self.skin)
+        self._pairs = list_pairs(d.home, d.R, self.length, self.height, self.strain, self.skin)
         self._since = self.substeps
         self.rebuilds += 1
         if mark(self._pairs, self.tag, contacts):
@@ -186,7 +190,7 @@ class Simulation:
         done = 0
         while done < len(rates) - 1:
             done += self._advance(strains[done:], np.append(self.rate, rates[done + 1 :]), bulk)
-        fluid, total = self.model.fluid * self.L**2, self._measured.total
+        fluid, total = self.model.fluid * self.length * self.height, self._measured.total
         total[[DXY, DYX]] -= fluid * rates[1:].sum()
         total[[HEAT, WORK]] += fluid * (rates[1:] ** 2).sum()
         self._check()
@@ -295,7 +299,7 @@ class Simulation:
             Sums.
         """
         sums = np.zeros(SAMPLED)
-        kernels.sample_disks(self._disks, self.L, self.rate, layers, sums)
+        kernels.sample_disks(self._disks, self.height, self.rate, layers, sums)
         kernels.sample_contacts(self._disks.q, self._pairs, self._moment, moments, scatter, sums)
         return sums
 
@@ -306,9 +310,8 @@ class Simulation:
         q[self.tag] = self._disks.q
         R = np.empty(len(q))
         R[self.tag] = self._disks.R
-        return State(
-            q[:, :2], q[:, 2:4], q[:, 4] / R, R, self.L, self.strain, self.rate, self.time, self.model.potential.name
-        )
+        cell, name = (self.length, self.strain, self.rate, self.time), self.model.potential.name
+        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height)
 
     def checkpoint(self) -> dict[str, Any]:
         """Build a new list; return everything that :meth:`restored` needs to continue bit for bit.
@@ -324,7 +327,8 @@ class Simulation:
             "masses": d.m.copy(),
             "tag": self.tag.copy(),
             "contacts": open_contacts(self._pairs, self.tag),
-            "numbers": np.array([self.L, self.strain, self.rate, self.time, self.skin]),
+            "numbers": np.array([self.length, self.strain, self.rate, self.time, self.skin]),
+            "height": np.array([self.height]),
             "counts": np.array([self.steps, self.rebuilds]),
             "start": self._start.copy(),
         }
@@ -352,8 +356,9 @@ class Simulation:
         q, radii, tags = saved["q"], saved["radii"], np.arange(len(saved["tag"]))
         if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(saved["contacts"][:, :2], tags).all()):
             raise InputError("checkpoint: tag or contacts contain disks that do not exist")
-        L, strain, rate, time, skin = (float(x) for x in saved["numbers"])
-        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, L, strain, rate, time)
+        length, strain, rate, time, skin = (float(x) for x in saved["numbers"])
+        cell = (length, strain, rate, time, model.potential.name, float(saved["height"][0]))
+        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, *cell)
         new = cls(state, model, dt, integrator, threads, saved["masses"])
         new._disks = Disks(q.copy(), q.copy(), np.zeros((len(q), 3)), radii, saved["masses"], q[:, :2].copy())
         new.tag, new.skin = saved["tag"].copy(), skin

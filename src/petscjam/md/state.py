@@ -1,6 +1,7 @@
-"""Positions and velocities of disks at one time, in a square cell with Lees–Edwards boundaries.
+"""Positions and velocities of disks at one time, in a cell with Lees–Edwards boundaries.
 
-The images of a disk at (x, y) with velocity (vx, vy) are at (x + mL + nγL, y + nL) with (vx + nγ̇L, vy).
+The edges of the cell are (Lx, 0) and (γLy, Ly). The images of a disk at (x, y) with velocity (vx, vy) are at
+(x + mLx + nγLy, y + nLy) with (vx + nγ̇Ly, vy).
 
 Axes: i disk, x Cartesian.
 """
@@ -37,11 +38,13 @@ class State:
         Angular velocities θ̇.
     radii : (N,)
     length : float
-        Edge L of the cell.
+        Lx.
     strain, rate, time : float
-        γ, γ̇ and t.
+        γ, γ̇ and t. The tilt of a cell is part of γ.
     potential_name : str
         Of the repulsion, as in a :class:`petscjam.Packing`; its energy scale is 1 for disks of diameter ds.
+    height : float
+        Ly; default: Lx.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class State:
     rate: float = 0.0
     time: float = 0.0
     potential_name: str = "harmonic-relative"  # VOT eq. 1 with α = 2
+    height: float = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.radii))
@@ -70,9 +74,10 @@ class State:
                 i = int(np.argwhere(bad)[0, 0])
                 raise InputError(f"state: {name} of disk {i}: {values[i]}")
             object.__setattr__(self, name, values)
-        for name in ("length", "strain", "rate", "time"):
+        object.__setattr__(self, "height", self.length if self.height is None else self.height)
+        for name in ("length", "height", "strain", "rate", "time"):
             value = float(getattr(self, name))
-            if not np.isfinite(value) or (name == "length" and value <= 0):
+            if not np.isfinite(value) or (name in ("length", "height") and value <= 0):
                 raise InputError(f"state: {name} is {value}")
             object.__setattr__(self, name, value)
         potential(self.potential_name)
@@ -81,15 +86,20 @@ class State:
         return len(self.radii)
 
     @property
+    def area(self) -> float:
+        """Lx Ly."""
+        return self.length * self.height
+
+    @property
     def phi(self) -> float:
         """Packing fraction (VOT eq. 11)."""
-        return float(np.pi * (self.radii**2).sum() / self.length**2)
+        return float(np.pi * (self.radii**2).sum() / self.area)
 
     @property
     def box(self) -> Box:
-        """The sheared cell, tilted by γ modulo 1, at most by a half."""
-        tilt = self.strain - np.rint(self.strain)
-        return Box(self.length * np.array([[1.0, 0.0], [tilt, 1.0]]))
+        """The sheared cell, its second edge tilted by γLy modulo Lx, at most by Lx/2."""
+        tilt = self.strain * (self.height / self.length)
+        return Box(np.array([[self.length, 0.0], [(tilt - np.rint(tilt)) * self.length, self.height]]))
 
     @property
     def potential(self) -> Potential:
@@ -104,11 +114,11 @@ class State:
         return c
 
     def wrapped(self) -> State:
-        """Return the same state by the images inside the square 0 ≤ x, y < L."""
+        """Return the same state by the images with 0 ≤ x < Lx and 0 ≤ y < Ly."""
         from petscjam.md.neighbours import wrap
 
         q = np.column_stack([self.positions, self.velocities])
-        wrap(q, self.length, self.strain, self.rate)
+        wrap(q, self.length, self.height, self.strain, self.rate)
         return replace(self, positions=q[:, :2], velocities=q[:, 2:])
 
     def packing(self) -> Packing:

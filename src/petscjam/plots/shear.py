@@ -263,7 +263,7 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
     figure = Figure(figsize=(2.2 * size, size + 0.6), layout="constrained")
     panels = figure.subplots(1, 2)
     phi, rate = local_maps(state, radius)
-    disk, centre = state.box.images(state.positions, state.radii[:, None], Box.square(state.length))
+    disk, centre = state.box.images(state.positions, state.radii[:, None], Box(np.diag([state.length, state.height])))
     for axes, values, colours, text in (
         (panels[0], phi, "viridis", r"local packing fraction $\phi(x, y)$"),
         (panels[1], rate, "plasma", r"local strain rate $\dot\gamma(x, y)\,\tau_e$"),
@@ -289,7 +289,7 @@ def _draw_disks(axes: Axes, state: State, values: Array, colours: str, disk: Any
         drawn.set_clim(*np.quantile(known, [0.01, 0.99]))
     drawn.set_rasterized(many)
     axes.add_collection(drawn, autolim=False)
-    axes.set(xlim=(0, state.length), ylim=(0, state.length), aspect="equal", xticks=[], yticks=[])
+    axes.set(xlim=(0, state.length), ylim=(0, state.height), aspect="equal", xticks=[], yticks=[])
     axes.set(xlabel="$x$", ylabel="$y$")
     return drawn
 

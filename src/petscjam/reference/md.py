@@ -57,20 +57,21 @@ def peculiar(state):
 
 
 def inside(state):
-    """Return positions and velocities of the images in 0 ≤ x, y < L, as lists of (x, y) and of (vx, vy)."""
-    L, positions, velocities = state.length, [], []
+    """Return positions and velocities of the images in 0 ≤ x < Lx, 0 ≤ y < Ly, as lists of (x, y) and of (vx, vy)."""
+    L, H, positions, velocities = state.length, state.height, [], []
     for (x, y), (vx, vy) in zip(state.positions.tolist(), state.velocities.tolist(), strict=True):
-        n = floor(y / L)
-        x -= n * state.strain * L
-        positions.append((x - floor(x / L) * L, y - n * L))
-        velocities.append((vx - n * state.rate * L, vy))
+        n = floor(y / H)
+        x -= n * state.strain * H
+        positions.append((x - floor(x / L) * L, y - n * H))
+        velocities.append((vx - n * state.rate * H, vy))
     return positions, velocities
 
 
 def touching(state):
     """Yield i, j, r_ij and v_ij of every contact; the cell is more than twice as wide as its disks."""
-    L = state.length
-    offset = (state.strain - round(state.strain)) * L  # whole cells of it are images in x
+    L, H = state.length, state.height
+    tilt = state.strain * (H / L)
+    offset = (tilt - round(tilt)) * L  # whole cells of it are images in x
     x, v = inside(state)
     radii = state.radii.tolist()
     for i in range(len(x)):
@@ -78,9 +79,9 @@ def touching(state):
             for m in (-1, 0, 1):
                 for n in (-1, 0, 1):
                     rx = x[i][0] - x[j][0] - m * L - n * offset
-                    ry = x[i][1] - x[j][1] - n * L
+                    ry = x[i][1] - x[j][1] - n * H
                     if hypot(rx, ry) <= radii[i] + radii[j]:
-                        vx = v[i][0] - v[j][0] - n * state.rate * L
+                        vx = v[i][0] - v[j][0] - n * state.rate * H
                         yield i, j, np.array([rx, ry]), np.array([vx, v[i][1] - v[j][1]])
 
 
@@ -153,16 +154,16 @@ def pressure_tensor(state, model, masses=1.0):
     for c in contacts(state, model):
         elastic += np.outer(c.elastic, c.r)
         dissipative += np.outer(c.dissipative, c.r)
-    dissipative -= model.fluid * state.rate * state.length**2 * np.array([[0, 1], [1, 0]])
+    dissipative -= model.fluid * state.rate * state.area * np.array([[0, 1], [1, 0]])
     for m, v in zip(np.broadcast_to(masses, len(state)), peculiar(state), strict=True):
         kinetic += m * np.outer(v, v)
-    return elastic / state.length**2, dissipative / state.length**2, kinetic / state.length**2
+    return elastic / state.area, dissipative / state.area, kinetic / state.area
 
 
 def dissipation(state, model):
     """Return the dissipated power: of contacts, of drag, and of the fluid between the disks.
 
-    With it dE/dt = −γ̇ L² p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the couple
+    With it dE/dt = −γ̇ Lx Ly p_xy + (γ̇/2) Σ ζr (θ̇ + γ̇/2) − dissipation: the second term is the work of the couple
     that maintains the vorticity of the fluid.
 
     Parameters
@@ -170,7 +171,7 @@ def dissipation(state, model):
     state : State
     model : Model
     """
-    heat = sum(c.heat for c in contacts(state, model)) + model.fluid * state.rate**2 * state.length**2
+    heat = sum(c.heat for c in contacts(state, model)) + model.fluid * state.rate**2 * state.area
     for v, spin in zip(peculiar(state), state.spins, strict=True):
         heat += model.body * v @ v + model.rotational_drag * (spin + state.rate / 2) ** 2
     return heat
