@@ -15,14 +15,14 @@ from petscjam.base.errors import DoubtfulWarning, InputError
 from petscjam.base.files import atomic_h5
 from petscjam.cli import main
 from petscjam.geometry.network import ContactNetwork
-from petscjam.geometry.potential import power_law
+from petscjam.geometry.potential import POTENTIALS, Potential, power_law
 from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
 from petscjam.md.model import Model
 from petscjam.md.result import blocked_error, export_csv, read_folder
 from petscjam.md.runs import run
 from petscjam.md.simulation import Simulation
-from petscjam.md.starts import first_state
+from petscjam.md.starts import _along_x, first_state, given_state, rescaled
 from petscjam.md.state import State, random_state
 from petscjam.plots.shear import plot_flow, plot_run
 from petscjam.rows.damping import ContactDamping, StokesDrag
@@ -289,6 +289,7 @@ BAD = [
     ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"),
     ("--start nowhere.h5 --seeds 1:2", "--seeds"),
     ("--start nowhere.h5 --seed 2", "--seed"),
+    ("--phi 0.8 --rescale", "rescale"),
 ]
 
 
@@ -498,19 +499,113 @@ def turn(vectors, degrees):
     return np.asarray(vectors) @ np.array([[c, s], [-s, c]])
 
 
-def test_a_packing_is_a_start_at_rest_in_its_own_cell():
-    """Lengths are those of the smallest diameter; a cell that is not a sheared square is refused."""
-    packing = pj.prepare_packing(32, pressure=1e-2, seed=1)
-    sheared = pj.md.shear("CD", rate=1e-2, strain=0.02, start=packing)
-    assert sheared.settings.phi == pytest.approx(packing.phi)
-    assert 2 * sheared.state.radii.min() == pytest.approx(1.0)
-    for cell in (
-        packing.box.cell * [[2.0], [1.0]],
-        packing.box.cell * [[2.0], [0.5]],
-        packing.box.cell @ [[1.0, 0.5], [0.0, 0.75**0.5]],
-    ):
-        with pytest.raises(InputError, match="not a square one"):
-            pj.md.shear(start=pj.Packing(packing.positions, packing.radii, pj.Box(cell)))
+def stabilised():
+    return jammed(2e-2, 64, 3, shear_stabilised=True)
+
+
+def deformed():
+    """A packing in a long and tilted cell, with shear stress."""
+    F, p = np.array([[1.25, 0.3], [0.0, 0.8]]), stabilised()
+    return pj.relax_packing(pj.Packing(p.positions @ F.T, p.radii, p.box.deformed(F)))
+
+
+def turned(packing, degrees, basis=((1, 1), (0, 1))):
+    """The same disks turned, in a cell of other lattice vectors."""
+    cell = np.array(basis) @ turn(packing.box.cell, degrees)
+    return pj.Packing(turn(packing.positions, degrees), packing.radii, pj.Box(cell))
+
+
+@pytest.mark.parametrize(
+    ("make", "degrees", "shape"),
+    [(stabilised, 0, "8.86 x 9.48"), (deformed, 0, "11.1 x 7.58"), (deformed, 25, "11.1 x 7.58")],
+)
+def test_slow_shear_of_any_cell_shows_g0_of_the_linear_response(make, degrees, shape):
+    """The slope of the stress, with pre-stress; along the edge of a cell that was turned."""
+    packing = make()
+    start = turned(packing, degrees) if degrees else packing
+    slow = run(protocols.steady(1e-8, 3e-5), "CD", Q=0.5, start=start)
+    assert f"{slow.state.length:.3g} x {slow.state.height:.3g}" == shape
+    assert ("turned by -25 degrees" in slow.settings.start) == (degrees != 0)
+    late = slow.strain - slow.settings.strain0 > 1.5e-5
+    G0 = np.polyfit(slow.strain[late], slow.stress_elastic[late], 1)[0]
+    assert G0 == pytest.approx(pj.quasistatic_response(packing).shear_modulus, rel=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [0, 40, 130])
+@pytest.mark.parametrize("basis", [((1, 0), (0, 1)), ((1, 0), (3, -1)), ((0, -1), (1, 2))], ids=str)
+def test_a_packing_is_a_start_at_rest_in_its_own_cell(basis, degrees):
+    """The same contacts, lengths in units of the smallest diameter, and an edge along x."""
+    packing, start = deformed(), turned(deformed(), degrees, basis)
+    state = given_state(start)[0]
+    assert state.phi == pytest.approx(packing.phi)
+    assert 2 * state.radii.min() == pytest.approx(1.0)
+    assert not state.velocities.any()
+    one, two = (ContactNetwork.of(p) for p in (packing, state.packing()))
+    assert (one.i.tolist(), one.j.tolist()) == (two.i.tolist(), two.j.tolist())
+    assert two.pressure == pytest.approx(one.pressure)
+    assert min(state.length, state.height) > 0.7 * np.sqrt(state.area)
+    angle = degrees - np.degrees(_along_x(start.box.cell)[3])
+    assert two.stress == pytest.approx(turn(turn(one.stress, angle).T, angle))
+
+
+def test_a_first_lattice_vector_along_x_stays_there():
+    """However long it is; a cell that is then too low is refused."""
+    for start in (deformed(), turned(deformed(), 0, ((1, 0), (-2, 1)))):
+        state = given_state(start)[0]
+        assert state.length == pytest.approx(start.box.cell[0, 0] / (2 * start.radii.min()))
+    with pytest.raises(InputError, match=r"a cell of 9\.31 x 1\.86 is too small for disks of these sizes"):
+        flat = pj.Packing(jammed().positions, jammed().radii, pj.Box(jammed().box.cell * [1.0, 0.2]))
+        pj.md.shear("CD", start=flat, strain=1e-3)
+
+
+@pytest.mark.parametrize("name", ["harmonic", "harmonic-relative", "hertzian", "hertzian-relative"])
+@pytest.mark.parametrize("unit", [0.01, 30.0])
+def test_a_start_does_not_depend_on_the_unit_of_length(name, unit):
+    """Nor on a spread of the radii: the stress in units of the stiffness of disks of the smallest diameter."""
+    plain = jammed(2e-2, seed=1, polydispersity=0.1, potential_name=name)
+    other = pj.Packing(unit * plain.positions, unit * plain.radii, pj.Box(unit * plain.box.cell), name)
+    one, two = (pj.md.shear("CD", rate=1e-4, strain=1e-3, start=p) for p in (plain, other))
+    assert two.time == pytest.approx(one.time)
+    assert two.stress == pytest.approx(one.stress, rel=1e-9)
+    for start in (plain, other):
+        p, ds = ContactNetwork.of(start).pressure, 2 * start.radii.min()
+        assert one.pressure_elastic[0] == pytest.approx(p / start.potential.unit(ds), rel=1e-3)
+
+
+def test_a_potential_with_a_length_of_its_own_needs_its_unit(monkeypatch):
+    law = Potential(
+        "stiffening", False, "a test", lambda x: x**2 / 2 + x**3, lambda x: x + 3 * x**2, lambda x: 1 + 6 * x
+    )
+    monkeypatch.setitem(POTENTIALS, "stiffening", law)
+    packing = replace(jammed(), potential_name="stiffening")
+    with pytest.raises(InputError, match=r"stiffening depends on the unit .* must be 1, not 0\.833"):
+        pj.md.shear("CD", start=packing)
+    ds = 2 * packing.radii.min()
+    scaled = pj.Packing(packing.positions / ds, packing.radii / ds, pj.Box(packing.box.cell / ds), "stiffening")
+    assert pj.md.shear("CD", rate=1e-2, strain=1e-3, start=scaled).state.potential_name == "stiffening"
+
+
+def test_a_start_at_another_packing_fraction_is_rescaled_if_asked(tmp_path):
+    """Cell and positions, not radii and peculiar velocities; the start says so, and a stop does not matter."""
+    flow, file = pj.md.shear(**{**SMALL, "strain": 0.1}), tmp_path / "run.h5"
+    with pytest.raises(InputError, match=r"packing fraction 0\.82, not 0\.8; rescale changes its cell"):
+        pj.md.shear(start=flow, phi=0.8)
+    state = rescaled(flow.state, 0.8)
+    assert state.phi == pytest.approx(0.8)
+    assert state.radii.tolist() == flow.state.radii.tolist()
+    assert state.positions / state.length == pytest.approx(flow.state.positions / flow.state.length)
+    assert state.peculiar == pytest.approx(flow.state.peculiar, abs=1e-15)
+    given = {**SMALL, "phi": 0.8, "start": flow, "rescale": True}
+    del given["seed"]
+    whole = pj.md.shear(**given)
+    assert whole.settings.start.endswith("rescaled from φ = 0.82")
+    assert whole.settings.phi == pytest.approx(0.8)
+    with pytest.raises(StoppedError):
+        pj.md.shear(**given, output=file, progress=stop_at(0.5))
+    assert same(pj.md.shear(**given, output=file, resume=True), whole) == []
+    for refused in ({"phi": 0.8}, {"start": flow}):
+        with pytest.raises(InputError, match="rescale goes with start and phi"):
+            pj.md.shear(**refused, rescale=True)
 
 
 def test_a_change_of_rate_scales_a_start():
@@ -537,7 +632,9 @@ def test_time_series_as_text(tmp_path):
     """A column for each row of the file, after lines that say what it is."""
     small = pj.md.shear(**{**SMALL, "strain": 0.1})
     export_csv(small, tmp_path / "run.csv")
-    lines = [line for line in (tmp_path / "run.csv").read_text().splitlines() if line[0] != "#"]
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    assert lines[0] == "# CD_rot, harmonic-relative, Q = 1"
+    lines = [line for line in lines if line[0] != "#"]
     column = lines[0].split(",").index("contacts")
     assert [float(line.split(",")[column]) for line in lines[1:]] == small.contacts.tolist()
 

@@ -345,6 +345,8 @@ def disks(p: Parser) -> None:
         "lammps), not from random positions"
     )
     p.add_argument("--start", type=path, metavar="FILE", help=text)
+    text = "change cell and positions of --start to --phi; radii and peculiar velocities stay"
+    p.add_argument("--rescale", action="store_true", help=text)
     text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
     text = (

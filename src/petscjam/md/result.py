@@ -353,7 +353,7 @@ def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
 
 
 def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the time series as CSV, a column for each of its observables.
+    """Write the time series as CSV, a column for each of its observables; the first line has model and potential.
 
     Parameters
     ----------
@@ -369,6 +369,8 @@ def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) 
     """
     check_output(path, overwrite=overwrite)
     table = np.column_stack(list(run.rows.values()))
-    lines = [f"# {name}: {ROWS[name].unit}" for name in run.rows if name in ROWS]
+    model = run.settings.model
+    lines = [f"# {model.name}, {model.potential.name}, Q = {model.Q:g}"]
+    lines += [f"# {name}: {ROWS[name].unit}" for name in run.rows if name in ROWS]
     lines += [",".join(run.rows), *(",".join(f"{x:.16e}" for x in row) for row in table)]
     write_atomically(path, "\n".join([*lines, ""]).encode())

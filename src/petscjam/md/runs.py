@@ -30,7 +30,7 @@ from petscjam.md.recording import Recorder, read_checkpoint
 from petscjam.md.result import Run, read_run
 from petscjam.md.settings import Settings
 from petscjam.md.simulation import Simulation
-from petscjam.md.starts import Start, first_state, given_state
+from petscjam.md.starts import Start, first_state, given_state, rescaled
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
 from petscjam.rows.damping import DampingLaw
@@ -80,13 +80,13 @@ def shear(
     start : State, Run, Packing or path
         Initial state; default: random positions, moved apart, with the linear profile. Velocities and spins of a
         run are scaled to the new rate (VOT eqs. 40, 41). The start is recorded, because flows depend on their
-        history. The potential is that of the start. The lattice of a packing must be that of a square sheared
-        along a lattice vector; the packing is rotated until this vector is along x.
+        history. The potential is that of the start. A packing may have any cell; if its first lattice vector is not
+        along x, it is rotated until one of its two shortest lattice vectors is, the one with the smaller rotation.
     output : path
         File of the run (HDF5), complete at every moment.
     **options
-        As for :func:`run`: integrator, threads, exponent, stokes_drag, rotational_drag, row_time, resume, overwrite,
-        progress, frames.
+        As for :func:`run`: rescale, integrator, threads, exponent, stokes_drag, rotational_drag, row_time,
+        resume, overwrite, progress, frames.
 
     Returns
     -------
@@ -147,6 +147,7 @@ def run(
     seed: int = 1,
     dt: float | None = None,
     start: Start = None,
+    rescale: bool = False,
     output: str | PathLike[str] | None = None,
     integrator: str = "heun",
     threads: int = 1,
@@ -166,6 +167,9 @@ def run(
     ----------
     protocol : Protocol
         As ``steady(1e-4, 10)`` of :mod:`petscjam.md.protocols`.
+    rescale : bool
+        Change the cell and the positions of ``start`` to the packing fraction ``phi``; radii and peculiar velocities
+        stay.
     integrator : str
         ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces in each step, smaller largest dt).
     threads : int
@@ -202,6 +206,10 @@ def run(
         earlier = _earlier(output, kind) if output is not None and resume and Path(output).exists() else None
         there = None if earlier is None else earlier.run.settings
         given, origin = given_state(start)
+        if rescale:
+            if given is None or phi is None:
+                raise InputError("shear: rescale goes with start and phi")
+            given, origin = rescaled(given, phi), f"{origin}, rescaled from φ = {given.phi:.8g}"
         first = given if earlier is None else earlier.run.state
         potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
         if exponent is not None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from petscjam.base import ranges
 from petscjam.base.errors import InputError, readable, shown
 from petscjam.base.types import Array
 from petscjam.geometry.box import Box
@@ -59,7 +60,9 @@ def first_state(
         if n is not None and n != len(state):
             raise InputError(f"shear: {origin} has {len(state)} disks, not {n}")
         if phi is not None and abs(phi - state.phi) > 1e-6:
-            raise InputError(f"shear: {origin} has packing fraction {state.phi:.8g}, not {shown(phi)}")
+            raise InputError(
+                f"shear: {origin} has packing fraction {state.phi:.8g}, not {shown(phi)}; rescale changes its cell"
+            )
     if protocol.bulk == "boundary" and origin != "random":
         return replace(state.wrapped(), rate=rate)
     v, spins = state.velocities.copy(), state.spins
@@ -87,7 +90,7 @@ def given_state(start: Start) -> tuple[State | None, str]:
     Raises
     ------
     InputError
-        If the start cannot be read, or is a packing whose lattice is not that of a sheared square.
+        If the start cannot be read, or its potential has a unit of length that is not its smallest diameter.
     """
     if start is None:
         return None, "random"
@@ -104,19 +107,39 @@ def given_state(start: Start) -> tuple[State | None, str]:
     return state, f"{readable(Path(start).name)}: {origin}"
 
 
+def rescaled(state: State, phi: float) -> State:
+    """Return the state at another packing fraction: positions and cell scaled, radii and peculiar velocities kept.
+
+    Parameters
+    ----------
+    state : State
+    phi : float
+
+    Raises
+    ------
+    InputError
+        If ``phi`` is out of range.
+    """
+    ranges.PHI.check("shear: the packing fraction phi", phi)
+    factor, v = np.sqrt(state.phi / phi), state.velocities.copy()
+    v[:, 0] += state.rate * (factor - 1) * state.positions[:, 1]
+    cell = {"length": factor * state.length, "height": factor * state.height}
+    return replace(state, positions=factor * state.positions, velocities=v, **cell)
+
+
 def _of(run: Run) -> str:
     name, start, state = run.settings.model.name, run.settings.start, run.state
     return f"{name} from {start} at γ̇ = {state.rate:.4g}, γ = {state.strain:.6g}"
 
 
 def _at_rest(packing: Packing) -> tuple[State, str]:
-    """Return the disks of a packing at rest, in units of the smallest diameter, and the description of the start.
-
-    Its lattice must be that of a square sheared along one of its lattice vectors. The packing is rotated until
-    this vector is along x.
-    """
-    unit, n = 2 * packing.radii.min(), len(packing)
-    edge, tilt, angle = _sheared_square(packing.box.cell)
+    """Return the disks of a packing at rest, in units of the smallest diameter, and the description of the start."""
+    unit, n, law = 2 * packing.radii.min(), len(packing), packing.potential
+    if not law.relative and law.exponent is None and abs(unit - 1) > 1e-9:
+        raise InputError(
+            f"shear: {law.name} depends on the unit of length: the smallest diameter must be 1, not {unit:g}"
+        )
+    length, height, strain, angle = _along_x(packing.box.cell)
     c, s = np.cos(angle), np.sin(angle)
     x = packing.positions @ np.array([[c, -s], [s, c]]) if angle else packing.positions
     state = State(
@@ -124,29 +147,32 @@ def _at_rest(packing: Packing) -> tuple[State, str]:
         np.zeros((n, 2)),
         np.zeros(n),
         packing.radii / unit,
-        edge / unit,
-        tilt,
+        length / unit,
+        strain,
         potential_name=packing.potential_name,
+        height=height / unit,
     ).wrapped()
     turned = f", turned by {np.degrees(-angle):.6g} degrees" if angle else ""
     return state, f"packing {packing.checksum}{turned}"
 
 
-def _sheared_square(cell: Array) -> tuple[float, float, float]:
-    """Return the edge and the tilt of the sheared square with the lattice of ``cell``, and its direction.
+def _along_x(cell: Array) -> tuple[float, float, float, float]:
+    """Return Lx, Ly and γ of the cell with the lattice of ``cell`` and an edge along x, and the angle of this edge.
 
-    Only a shortest vector of a lattice can be the edge of a square of the same area that is sheared along it. Of
-    two, the one with the smaller rotation is used.
+    The edge is the first lattice vector if it is along x. Else it is one of the two shortest vectors of the lattice,
+    ± each, with the smallest rotation; of a sheared square, one that is an edge of the square.
     """
     (a, zero), (along, b) = cell
-    if a > 0 and abs(zero) <= 1e-12 * a and abs(a - b) <= 1e-9 * a:
-        return float(a), float(along / a), 0.0
+    if a > 0 and abs(zero) <= 1e-12 * a:
+        height = a if abs(a - abs(b)) <= 1e-9 * a else abs(b)
+        return float(a), float(height), float(np.sign(b) * along / height), 0.0
     reduced, area = Box(cell).reduced, Box(cell).area
-    edges = [v for v in (*reduced, *-reduced) if abs(v @ v / area - 1) <= 2e-9]
-    if not edges:
-        raise InputError(f"shear: the cell {cell.tolist()} of the packing is not a square one, sheared")
-    edge = min(edges, key=lambda v: abs(np.arctan2(v[1], v[0])))
-    for other in (*reduced, *-reduced):
-        if edge[0] * other[1] - edge[1] * other[0] > area / 2:
-            tilt = edge @ other / area
-    return float(np.sqrt(area)), float(tilt - np.rint(tilt)), float(np.arctan2(edge[1], edge[0]))
+    shortest = [*reduced, *-reduced]
+    square = [v for v in shortest if abs(v @ v / area - 1) <= 2e-9]
+    edge = min(square or shortest, key=lambda v: abs(np.arctan2(v[1], v[0])))
+    length = np.sqrt(area if square else edge @ edge)
+    width = length**2 / area  # Lx/Ly, the strain of a whole turn
+    other = next(v for v in shortest if edge[0] * v[1] - edge[1] * v[0] > area / 2)
+    strain = edge @ other / area
+    strain -= width * np.rint(strain / width)
+    return float(length), float(area / length), float(strain), float(np.arctan2(edge[1], edge[0]))
