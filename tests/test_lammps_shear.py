@@ -254,11 +254,12 @@ def forces_of_lammps(state, model, folder):
     lammps(folder, "in.forces", "-var", "steps", "1")
     fx, fy, torques = np.loadtxt(folder / "forces.dump", skiprows=9).T
     after, forces = read_lammps(folder), np.stack([fx, fy], axis=1)
-    spins = after.spins - model.rolls * torques * DT / 2 / reference_md.inertia(after)
+    kick = DT / 2 / model.mass
+    spins = after.spins - model.rolls * torques * kick / reference_md.inertia(after)
     return (
         forces,
         torques,
-        replace(after, velocities=after.velocities - forces * DT / 2, spins=spins, strain=after.strain - RATE * DT),
+        replace(after, velocities=after.velocities - forces * kick, spins=spins, strain=after.strain - RATE * DT),
     )
 
 
@@ -279,10 +280,11 @@ def forces_at_surfaces(state, model):
 
 
 @needs_lammps
+@pytest.mark.parametrize("mass", [1.0, 2.5])
 @pytest.mark.parametrize("law", [*MODELS.values(), ContactDamping(beta=0.3)], ids=str)
-def test_forces_of_lammps_are_those_of_vot(tmp_path, law):
+def test_forces_of_lammps_are_those_of_vot(tmp_path, law, mass):
     """Exactly, with LAMMPS's arms in the forces of VOT; with VOT's own, to the order of the overlap."""
-    model = Model(law, Q=2.0)
+    model = Model(law, Q=2.0, mass=mass)
     forces, torques, there = forces_of_lammps(some_state(), model, tmp_path)
     expected, expected_torques = forces_at_surfaces(there, model)
     np.testing.assert_allclose(forces, expected, atol=1e-12)

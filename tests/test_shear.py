@@ -25,6 +25,7 @@ from petscjam.md.simulation import Simulation
 from petscjam.md.starts import _along_x, first_state, given_state, rescaled
 from petscjam.md.state import State, random_state
 from petscjam.plots.shear import plot_flow, plot_run
+from petscjam.plots.tables import describe_run
 from petscjam.rows.damping import ContactDamping, StokesDrag
 
 pytestmark = pytest.mark.parallel(nprocs=1)
@@ -290,6 +291,9 @@ BAD = [
     ("--start nowhere.h5 --seeds 1:2", "--seeds"),
     ("--start nowhere.h5 --seed 2", "--seed"),
     ("--phi 0.8 --rescale", "rescale"),
+    ("--mass 0", "0"),
+    ("--mass -1", "-1"),
+    ("--mass 1e-6 --dt 0.01", "mass of 1e-06"),
 ]
 
 
@@ -645,6 +649,29 @@ def test_a_model_survives_the_file(tmp_path):
     made = pj.md.shear(law, 36, 0.82, 2.0, rate=1e-2, strain=0.02, stokes_drag=0.1, output=tmp_path / "a.h5")
     assert pj.md.read(tmp_path / "a.h5").settings.model == Model(law, 2.0, stokes_drag=0.1)
     assert made.settings.model == Model(law, 2.0, stokes_drag=0.1)
+
+
+@pytest.mark.parametrize("integrator", ["heun", "single"])
+@pytest.mark.parametrize("model", ["CD_rot", "CD_n"])
+def test_a_mass_of_four_is_a_unit_of_time_of_two(tmp_path, model, integrator):
+    """With kd, both drags and the rate in that unit, bit for bit; with the default time step, too."""
+    file = tmp_path / "run.h5"
+    given = {"model": model, "n": 36, "phi": 0.84, "strain": 0.3, "integrator": integrator}
+    heavy = {"Q": 0.7, "rate": 1e-2, "mass": 4.0, "stokes_drag": 0.1, "rotational_drag": 0.02, "output": file}
+    light = {"Q": 1.4, "rate": 2e-2, "stokes_drag": 0.05, "rotational_drag": 0.01}
+    with pytest.raises(StoppedError):
+        pj.md.shear(**given, **heavy, progress=stop_at(0.5))
+    one, two = pj.md.shear(**given, **heavy, resume=True), pj.md.shear(**given, **light)
+    assert one.settings.dt == 2 * two.settings.dt
+    assert (one.state.positions == two.state.positions).all()
+    assert (2 * one.state.velocities == two.state.velocities).all()
+    assert (one.pressure == two.pressure).all()
+    assert (one.rows["kinetic_xx"] == two.rows["kinetic_xx"]).all()
+    assert (one.rows["energy"] == two.rows["energy"]).all()
+    assert pj.md.read(file).settings.model.mass == 4.0
+    assert "mass 4" in describe_run(one) and "mass" not in describe_run(two)
+    with pytest.raises(InputError, match=r"mass = 4\.0, not 1\.0; it cannot be resumed"):
+        pj.md.shear(**given, **{**heavy, "mass": 1.0}, resume=True)
 
 
 def test_states_are_checked_at_birth():

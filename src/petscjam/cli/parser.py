@@ -351,7 +351,7 @@ def disks(p: Parser) -> None:
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
     text = (
         "time step in tau_e, divided if the contacts require it (default: one with an error of the energy budget "
-        "below 1 percent, at most 0.05)"
+        "below 1 percent, at most 0.05 for a mass of 1)"
     )
     p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X", help=text)
     text = "exponent of the repulsion V ~ overlap^X (default 2, or that of --start)"
@@ -363,6 +363,8 @@ def disks(p: Parser) -> None:
         "flow (default 0)"
     )
     p.add_argument("--rotational-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
+    text = "mass of every disk, in m; the friction coefficient m/(Q tau_e) does not change (default 1)"
+    p.add_argument("--mass", type=Within(number, ranges.MASS), default=1.0, metavar="X", help=text)
     text = "threads of a run; useful from 10000 disks on (default 1)"
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
     text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"

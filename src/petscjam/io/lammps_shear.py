@@ -24,7 +24,6 @@ from petscjam.base.arguments import parsed, parsed_whole
 from petscjam.base.errors import InputError, shown
 from petscjam.base.files import check_output, naming, write_atomically
 from petscjam.base.types import Array
-from petscjam.geometry.potential import Potential
 from petscjam.md.model import Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
@@ -40,7 +39,7 @@ atom_style sphere
 newton on
 box tilt large
 read_data disks.data
-set type * mass 1.0
+set type * mass {mass}
 comm_modify vel yes
 pair_style granular
 {pairs}
@@ -179,11 +178,11 @@ def _texts(state: State, model: Model, settings: Mapping[str, float]) -> dict[st
         Q=model.Q,
         potential=potential.name,
         settings="\n".join(f"variable {name} index {value}" for name, value in settings.items()),
-        disks=_disks(state.radii, potential, model.normal, model.tangential / model.normal),
+        disks=_disks(state.radii, model, model.normal, model.tangential / model.normal),
         integrator="nve/sphere disc" if model.rolls else "nve",
         columns=COLUMNS,
     )
-    elastic = IN_ELASTIC.format(disks=_disks(state.radii, potential, 0.0, 0.0))
+    elastic = IN_ELASTIC.format(disks=_disks(state.radii, model, 0.0, 0.0))
     return {"disks.data": _data(state, model.rolls), "in.shear": script, "in.elastic": elastic}
 
 
@@ -289,14 +288,14 @@ def read_log(path: str | PathLike[str]) -> dict[str, Array]:
         return dict(zip(names, np.reshape(rows, (len(rows), len(names))).T, strict=True))
 
 
-def _disks(radii: Array, potential: Potential, normal: float, ratio: float) -> str:
+def _disks(radii: Array, model: Model, normal: float, ratio: float) -> str:
     """Return the commands up to the forces: damping ``normal``, and ``ratio`` times this for tangential damping."""
     pairs = [
-        f"pair_coeff {a} {b} hooke {potential.k(ra + rb)} {normal} damping velocity "
+        f"pair_coeff {a} {b} hooke {model.potential.k(ra + rb)} {normal} damping velocity "
         f"tangential linear_nohistory {ratio} 1.0e30"
         for (a, ra), (b, rb) in combinations_with_replacement(enumerate(np.unique(radii), 1), 2)
     ]
-    return DISKS.format(pairs="\n".join(pairs))
+    return DISKS.format(pairs="\n".join(pairs), mass=model.mass)
 
 
 def _data(state: State, rolls: bool) -> str:

@@ -1,6 +1,7 @@
 """The models of sheared disks: repulsion, damping law and its strength, and time step.
 
-Units are those of VOT: the diameter ds of a small disk, the mass m and the time τe are 1, so ke is, too.
+Units are those of VOT: the diameter ds of a small disk, the mass m and the time τe are 1, so ke is, too. Disks have
+this mass unless the model has another one.
 """
 
 from __future__ import annotations
@@ -22,12 +23,16 @@ MODELS: dict[str, DampingLaw] = {
 }
 INTEGRATORS = {"heun": 2.0, "single": 1.0}  # the largest stable product of a rate of relaxation and dt
 BULK = {"boundary": 0, "scale": 1, "profile": 2}  # effect of a change of the strain rate on the disks
-LARGEST_STEP = 0.2  # τe: a collision of two disks of diameter ds lasts 2.2 τe
-STEP = 0.05  # τe, VOT sec. II D
+LARGEST_STEP = 0.2  # τe for a mass of 1: a collision of two disks of diameter ds lasts 2.2 τe
+STEP = 0.05  # τe for a mass of 1, VOT sec. II D
 # The largest products of dt and the relaxation rates of two touching disks, normal and tangential, with an error
 # of the energy budget below 1 % of the heat (measured, docs/design/0015).
 ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
-DRAGS = {"drag": "stokes_drag", "spin_drag": "rotational_drag"}  # names in the file of a run, and of the fields
+STORED = {
+    "drag": "stokes_drag",
+    "spin_drag": "rotational_drag",
+    "mass": "mass",
+}  # names in the file of a run, and fields
 
 
 @dataclass(frozen=True)
@@ -39,11 +44,13 @@ class Model:
     law : DampingLaw
         The law of the linear response, with kτ1 = kd = 1/Q.
     Q : float
-        Elasticity of collisions Q = m/(kd τe) > 0 (VOT eq. 9).
+        Elasticity of collisions Q = m/(kd τe) > 0 of disks with a mass of 1 (VOT eq. 9).
     potential : Potential
         Of the repulsion, in units in which its energy scale is 1 for disks of diameter ds (VOT eq. 1).
     stokes_drag, rotational_drag : float
         Stokes drag, in m/τe and m ds²/τe: −ζ(v − γ̇ y x̂) on a disk and −ζr(θ̇ + γ̇/2) on its rotation.
+    mass : float
+        Of every disk, in m; its moment of inertia is mass R²/2.
 
     Raises
     ------
@@ -56,12 +63,14 @@ class Model:
     potential: Potential = POTENTIALS["harmonic-relative"]
     stokes_drag: float = 0.0
     rotational_drag: float = 0.0
+    mass: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value, known in (
             ("Q", self.Q, ranges.Q),
             ("stokes_drag", self.stokes_drag, ranges.DRAG),
             ("rotational_drag", self.rotational_drag, ranges.DRAG),
+            ("mass", self.mass, ranges.MASS),
         ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
@@ -93,8 +102,8 @@ class Model:
     @property
     def settings(self) -> dict[str, Any]:
         """Its numbers by name, as in the file of a run."""
-        drags = {name: getattr(self, item) for name, item in DRAGS.items()}
-        numbers = {"Q": self.Q, "potential": self.potential.name, **drags}
+        numbers = {"Q": self.Q, "potential": self.potential.name}
+        numbers |= {name: getattr(self, item) for name, item in STORED.items()}
         return {"model": self.name, "law": self.law.name, **asdict(self.law), **numbers}
 
     @classmethod
@@ -112,8 +121,8 @@ class Model:
             if kind is None:
                 raise InputError(f"settings: the law {settings['law']!r} is unknown; known are {', '.join(LAWS)}")
             law = kind(**{item.name: settings[item.name] for item in fields(kind)})
-        drags = {item: settings[name] for name, item in DRAGS.items() if name in settings}
-        return cls(law, settings["Q"], potential(settings["potential"]), **drags)
+        others = {item: settings[name] for name, item in STORED.items() if name in settings}
+        return cls(law, settings["Q"], potential(settings["potential"]), **others)
 
     @property
     def name(self) -> str:
@@ -146,18 +155,19 @@ class Model:
         return self.law.fluid / self.Q
 
     def largest_step(self, integrator: str) -> float:
-        """Return the largest time step, in τe, that is stable for pairs of touching disks (m = 1).
+        """Return the largest time step, in τe, that is stable for pairs of touching disks.
 
         With more contacts the limit is computed during the run (:meth:`petscjam.md.simulation.Simulation.demand`).
         """
         normal, tangential = self._pair
-        fastest = max(normal, tangential) + max(self.body, 8 * self.rotational_drag)
-        return min(LARGEST_STEP, INTEGRATORS[integrator] / fastest if fastest else LARGEST_STEP)
+        fastest = max(normal, tangential) + max(self.body, 8 * self.rotational_drag) / self.mass
+        largest = LARGEST_STEP * sqrt(self.mass)
+        return min(largest, INTEGRATORS[integrator] / fastest if fastest else largest)
 
     @property
     def _pair(self) -> tuple[float, float]:
         """Rates of relaxation of the normal and the tangential velocity of two disks that touch."""
-        return 2 * self.normal, (6 if self.rolls else 2) * self.tangential
+        return 2 * self.normal / self.mass, (6 if self.rolls else 2) * self.tangential / self.mass
 
     def step(self, dt: float | None, integrator: str) -> float:
         """Return the time step, checked.
@@ -165,7 +175,7 @@ class Model:
         Parameters
         ----------
         dt : float or None
-            τe; None: one that keeps the energy budget within 1 %, at most VOT's 0.05 τe.
+            τe; None: one that keeps the energy budget within 1 %, at most VOT's 0.05 τe for a mass of 1.
         integrator : str
             A name from ``INTEGRATORS``.
 
@@ -179,12 +189,12 @@ class Model:
         largest = self.largest_step(integrator)
         if dt is None:
             accurate = (x / rate for x, rate in zip(ACCURATE[integrator], self._pair, strict=True) if rate)
-            return min(STEP, largest / 2, *accurate)
+            return min(STEP * sqrt(self.mass), largest / 2, *accurate)
         ranges.DT.check("shear: dt", dt)
         if not dt <= largest * (1 + 1e-12):
             raise InputError(
-                f"shear: dt must be above 0 and, for {integrator} with {self.name} at Q = {self.Q:g}, "
-                f"at most {largest:.3g} tau_e, not {shown(dt)}"
+                f"shear: dt must be above 0 and, for {integrator} with {self.name} at Q = {self.Q:g}"
+                f"{f' and a mass of {self.mass:g}' * (self.mass != 1)}, at most {largest:.3g} tau_e, not {shown(dt)}"
             )
         return float(dt)
 

@@ -17,7 +17,7 @@ from petscjam.md.result import Run
 from petscjam.md.state import State
 from petscjam.preparation.prepare import BUDGET, relax_packing
 
-SETTINGS = ("model", "law", "Q", "potential", "drag", "spin_drag", "protocol", "start", "seed")
+SETTINGS = ("model", "law", "Q", "potential", "drag", "spin_drag", "mass", "protocol", "start", "seed")
 
 
 def snapshot(run: Run) -> Packing:

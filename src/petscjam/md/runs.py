@@ -85,8 +85,8 @@ def shear(
     output : path
         File of the run (HDF5), complete at every moment.
     **options
-        As for :func:`run`: rescale, integrator, threads, exponent, stokes_drag, rotational_drag, row_time,
-        resume, overwrite, progress, frames.
+        As for :func:`run`: rescale, integrator, threads, exponent, stokes_drag, rotational_drag, mass,
+        row_time, resume, overwrite, progress, frames.
 
     Returns
     -------
@@ -154,6 +154,7 @@ def run(
     exponent: float | None = None,
     stokes_drag: float = 0.0,
     rotational_drag: float = 0.0,
+    mass: float = 1.0,
     row_time: float | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -178,6 +179,8 @@ def run(
         α of the repulsion (VOT eq. 1); default: that of ``start``, or 2.
     stokes_drag, rotational_drag : float
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
+    mass : float
+        Of every disk, in m. Q stays m/(kd τe) with the unit m of mass, so mass does not change kd = 1/Q.
     row_time : float
         τe between two rows of the time series, at least 50 steps; default: a thousandth of the run, or 10³ τe in
         a ramp.
@@ -214,7 +217,8 @@ def run(
         potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
         if exponent is not None:
             potential = power_law(exponent, potential.relative)
-        law = Model.of(model, Q, potential=potential, stokes_drag=stokes_drag, rotational_drag=rotational_drag)
+        drags = {"stokes_drag": stokes_drag, "rotational_drag": rotational_drag}
+        law = Model.of(model, Q, potential=potential, mass=mass, **drags)
         dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
         total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)
         made: dict[str, Any] = {"dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads}

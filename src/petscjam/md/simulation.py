@@ -44,7 +44,7 @@ class Simulation:
         ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces a step).
     threads : int
     masses : (N,)
-        In m; default: all 1 (VOT).
+        In m; default: that of the model.
 
     Raises
     ------
@@ -82,7 +82,7 @@ class Simulation:
         n = len(state)
         self.tag = np.arange(n)
         q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
-        m = np.ones(n) if masses is None else np.array(masses, dtype=float)
+        m = np.full(n, model.mass) if masses is None else np.array(masses, dtype=float)
         if m.shape != (n,) or not (m > 0).all():
             raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
         self._disks = Disks(q, q.copy(), np.zeros((n, 3)), state.radii.copy(), m, q[:, :2].copy())

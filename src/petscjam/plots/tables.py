@@ -118,7 +118,8 @@ def describe_run(run: Run) -> str:
     s = run.settings
     lines = [
         "units: ds, m, tau_e; means ± standard errors leave out the first quarter",
-        f"{s.model.name}, {s.model.potential.name}, {s.particles} disks, phi = {s.phi:.6g}, Q = {s.model.Q:g}; "
+        f"{s.model.name}, {s.model.potential.name}, {s.particles} disks, phi = {s.phi:.6g}, Q = {s.model.Q:g}"
+        f"{f', mass {s.model.mass:g}' * (s.model.mass != 1)}; "
         f"{s.protocol}, dt = {s.dt:.4g}, {s.integrator}; start: {s.start}",
         f"strain {s.strain0:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
