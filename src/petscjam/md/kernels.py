@@ -43,8 +43,6 @@ from petscjam.md.engine import (
     WORK,
 )
 
-HEUN, SINGLE = 0, 1
-
 
 class Law(NamedTuple):
     """A model for the kernels.
@@ -99,12 +97,12 @@ class Measured(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """The integrator: HEUN or SINGLE, dt of a part, parts of a step, effect of a change of the rate.
+    """The integrator, dt of a part, parts of a step, effect of a change of the rate.
 
-    ``threads`` is True, or None: then only the kernels of one thread are compiled.
+    ``single`` (one evaluation of the forces a step) and ``threads`` are True or None: numba removes the other branch.
     """
 
-    integrator: int
+    single: bool | None
     dt: float
     parts: int
     bulk: int
@@ -178,13 +176,9 @@ def _event(c, q, pairs, now, counts, angles):
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _events(start, n, touch, touching, q, pairs, now, counts, angles):
     """Record the pairs of a batch that begin or cease to touch."""
-    changed = 0
     for c in range(n):
-        changed |= np.uint8(touch[c]) ^ touching[c]
-    if changed:
-        for c in range(n):
-            if touch[c] != touching[c]:
-                _event(start + c, q, pairs, now, counts, angles)
+        if touch[c] != touching[c]:
+            _event(start + c, q, pairs, now, counts, angles)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -220,6 +214,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
         if chunk == rest:
             _move_to_images(start - pairs.chunks[rest], n, pairs, now, X, Y, U)
         if measure:
+            changed = 0.0
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
@@ -229,7 +224,9 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
                 dxx, dxy, dyx, dyy = dxx - gx * x, dxy - gx * y, dyx - gy * x, dyy - gy * y
                 count, heat = count + touch, heat + gx * ux + gy * uy
-            _events(start, n, V, touching, q, pairs, now, measured.counts[chunk], measured.angles[chunk])
+                changed += abs(touch - touching[c])
+            if changed > 0.0:
+                _events(start, n, V, touching, q, pairs, now, measured.counts[chunk], measured.angles[chunk])
         else:
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
@@ -285,57 +282,54 @@ def kinetic(q, m, rate, sums):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _predict(chunk, disks, scheme, rate, shear, room, sums):
-    """Predict the positions (VOT eqs. 21, 22, or to second order); return the number of disks that moved too far.
+def _predict(chunk, disks, scheme, rate, shear, correct, sums):
+    """Predict positions and velocities (VOT eqs. 21, 22, or to second order); return the largest displacement².
 
-    ``shear`` is the strain since the list was built. Also sum the products of peculiar velocities (VOT eq. 14),
-    current (HEUN) or predicted (SINGLE).
+    ``shear`` is the strain since the list was built. With one evaluation a step, ``correct`` first completes the
+    step before (:func:`_correct`). Also sum the products of peculiar velocities (VOT eq. 14): current or, with one
+    evaluation a step, predicted.
     """
-    q, p, F, m, home, dt = disks.q, disks.p, disks.F, disks.m, disks.home, scheme.dt
-    half, later = (0.5 * dt, 1.0) if scheme.integrator == SINGLE else (0.0, 0.0)
-    left = xx = xy = yy = 0.0
+    q, p, F, m, home, dt, single = disks.q, disks.p, disks.F, disks.m, disks.home, scheme.dt, scheme.single
+    largest = xx = xy = yy = 0.0
     for a in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))):
         gain = dt / m[a]
-        ux, uy = gain * F[a, 0], gain * F[a, 1]
-        x = q[a, 0] + dt * q[a, 2] + half * ux
-        y = q[a, 1] + dt * q[a, 3] + half * uy
-        p[a, 0] = x
-        p[a, 1] = y
-        p[a, 2] = q[a, 2] + ux
-        p[a, 3] = q[a, 3] + uy
-        p[a, 4] = q[a, 4] + gain * F[a, 2]
-        cx = q[a, 2] + later * ux - rate * (q[a, 1] + later * (y - q[a, 1]))
-        cy = q[a, 3] + later * uy
+        ax, ay, at = gain * F[a, 0], gain * F[a, 1], gain * F[a, 2]
+        x, y, u, v, w = q[a, 0], q[a, 1], q[a, 2], q[a, 3], q[a, 4]
+        if single is not None:
+            if correct:
+                x, y = p[a, 0], p[a, 1]
+                u, v, w = 0.5 * (u + p[a, 2] + ax), 0.5 * (v + p[a, 3] + ay), 0.5 * (w + p[a, 4] + at)
+                q[a, 0], q[a, 1], q[a, 2], q[a, 3], q[a, 4] = x, y, u, v, w
+            x, y = x + dt * (u + 0.5 * ax), y + dt * (v + 0.5 * ay)
+            cx, cy = u + ax - rate * y, v + ay
+            F[a, 0] = F[a, 1] = F[a, 2] = 0.0
+        else:
+            cx, cy = u - rate * y, v
+            x, y = x + dt * u, y + dt * v
+        p[a, 0], p[a, 1], p[a, 2], p[a, 3], p[a, 4] = x, y, u + ax, v + ay, w + at
         xx, xy, yy = xx + m[a] * cx * cx, xy + m[a] * cx * cy, yy + m[a] * cy * cy
         dx, dy = x - shear * y - home[a, 0], y - home[a, 1]
-        left += 1.0 if dx * dx + dy * dy > room * room else 0.0
-    if scheme.integrator == SINGLE:
-        F[chunk * CHUNK : (chunk + 1) * CHUNK] = 0.0
+        largest = max(largest, dx * dx + dy * dy)
     sums[chunk, KXX], sums[chunk, KXY], sums[chunk, KYY] = xx, xy, yy
-    return left
+    return largest
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _correct(chunk, disks, scheme):
-    """Average both forces. HEUN: F is their sum (VOT eqs. 23, 24). SINGLE: (v + v̂)/2 contains half of one."""
-    q, p, F, m, dt = disks.q, disks.p, disks.F, disks.m, scheme.dt
-    first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))
-    if scheme.integrator == HEUN:
-        for a in range(first, last):
-            h = 0.5 * dt / m[a]
-            vx, vy = q[a, 2] + h * F[a, 0], q[a, 3] + h * F[a, 1]
-            q[a, 0] += 0.5 * dt * (q[a, 2] + vx)
-            q[a, 1] += 0.5 * dt * (q[a, 3] + vy)
-            q[a, 2], q[a, 3] = vx, vy
-            q[a, 4] += h * F[a, 2]
-            F[a, 0] = F[a, 1] = F[a, 2] = 0.0
-    else:
-        for a in range(first, last):
-            h = 0.5 * dt / m[a]
+    """Average both forces: F is their sum (VOT eqs. 23, 24); with one evaluation, (v + v̂)/2 contains half of one."""
+    q, p, F, m, dt, single = disks.q, disks.p, disks.F, disks.m, scheme.dt, scheme.single
+    for a in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(q))):
+        h = 0.5 * dt / m[a]
+        u, v, w = q[a, 2], q[a, 3], q[a, 4]
+        if single is not None:
             q[a, 0], q[a, 1] = p[a, 0], p[a, 1]
-            q[a, 2] = 0.5 * (q[a, 2] + p[a, 2]) + h * F[a, 0]
-            q[a, 3] = 0.5 * (q[a, 3] + p[a, 3]) + h * F[a, 1]
-            q[a, 4] = 0.5 * (q[a, 4] + p[a, 4]) + h * F[a, 2]
+            q[a, 2], q[a, 3] = 0.5 * (u + p[a, 2]) + h * F[a, 0], 0.5 * (v + p[a, 3]) + h * F[a, 1]
+            q[a, 4] = 0.5 * (w + p[a, 4]) + h * F[a, 2]
+        else:
+            q[a, 2], q[a, 3], q[a, 4] = u + h * F[a, 0], v + h * F[a, 1], w + h * F[a, 2]
+            q[a, 0] += 0.5 * dt * (u + q[a, 2])
+            q[a, 1] += 0.5 * dt * (v + q[a, 3])
+            F[a, 0] = F[a, 1] = F[a, 2] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -395,15 +389,15 @@ def _force_chunks_threaded(q, disks, pairs, law, now, measure, measured):
 
 
 @njit(cache=True)
-def _predict_chunks(disks, scheme, rate, shear, room, sums, left):
-    for chunk in range(len(left)):
-        left[chunk] = _predict(chunk, disks, scheme, rate, shear, room, sums)
+def _predict_chunks(disks, scheme, rate, shear, correct, sums, moved):
+    for chunk in range(len(moved)):
+        moved[chunk] = _predict(chunk, disks, scheme, rate, shear, correct, sums)
 
 
 @njit(cache=True, parallel=True)
-def _predict_chunks_threaded(disks, scheme, rate, shear, room, sums, left):
-    for chunk in prange(len(left)):
-        left[chunk] = _predict(chunk, disks, scheme, rate, shear, room, sums)
+def _predict_chunks_threaded(disks, scheme, rate, shear, correct, sums, moved):
+    for chunk in prange(len(moved)):
+        moved[chunk] = _predict(chunk, disks, scheme, rate, shear, correct, sums)
 
 
 @njit(cache=True)
@@ -441,6 +435,14 @@ def forces(q, disks, pairs, law, now, threads, measure, measured):
 
 
 @njit(cache=True, error_model="numpy")
+def _predict_all(disks, scheme, rate, shear, correct, sums, moved):
+    if scheme.threads is not None:
+        _predict_chunks_threaded(disks, scheme, rate, shear, correct, sums, moved)
+    else:
+        _predict_chunks(disks, scheme, rate, shear, correct, sums, moved)
+
+
+@njit(cache=True, error_model="numpy")
 def record(sums, rate, weight, total):
     """Add ``weight`` times the sums of all chunks, and the power of the shear stress, to ``total``.
 
@@ -466,7 +468,7 @@ def _change(disks, pairs, law, now, old, scheme, measured):
 
     Half of the stress counts for the part before, and half for this part.
     """
-    sums, change, heun = measured.sums, now.rate - old, scheme.integrator == HEUN
+    sums, change, heun = measured.sums, now.rate - old, scheme.single is None
     measured.total[JUMPS] += jump(disks.q, disks.m, pairs.height, old, now.rate, scheme.bulk)
     disks.F[:] = 0.0
     forces(disks.q, disks, pairs, law, now, scheme.threads, True, measured)
@@ -493,21 +495,22 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
     tick : int
         Time of the beginning, in ticks, :data:`petscjam.md.engine.TICKS` per step.
     measured : Measured
-        The sums at the beginning (HEUN) or end (SINGLE) of each part, divided by ``parts``, are added to ``total``.
+        The sums at the beginning (two evaluations of the forces a step) or end (one) of each part, divided by
+        ``parts``, are added to ``total``.
 
     Returns
     -------
     int
         Parts made: less than K if a new list is needed first.
     """
-    sums, heun, threads = measured.sums, scheme.integrator == HEUN, scheme.threads
-    chunks = len(pairs.chunks) - 1
-    left = np.zeros(chunks, np.int64)
+    sums, heun, threads = measured.sums, scheme.single is None, scheme.threads
+    chunks, last = len(pairs.chunks) - 1, len(rates) - 2
+    moved = np.zeros(chunks)
     reach = 2.0 * disks.R.max()
     disks.F[:] = 0.0
-    fresh = True
+    fresh, predicted = True, False
     weight, ticks = 1.0 / scheme.parts, TICKS // scheme.parts
-    for k in range(len(rates) - 1):
+    for k in range(last + 1):
         rate = rates[k + 1]
         now, then = Moment(strains[k], rate, tick + k * ticks), Moment(strains[k + 1], rate, tick + k * ticks)
         if rate != rates[k]:
@@ -516,24 +519,25 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
         elif heun or fresh:
             forces(disks.q, disks, pairs, law, now, threads, heun, measured)
         fresh = False
+        if not predicted:
+            _predict_all(disks, scheme, rate, strains[k + 1] - pairs.strain, False, sums, moved)
         shear = strains[k + 1] - pairs.strain
         room = 0.5 * (pairs.skin - reach * (np.sqrt(1.0 + 0.25 * shear**2) + 0.5 * abs(shear) - 1.0))
-        if threads is not None:
-            _predict_chunks_threaded(disks, scheme, rate, shear, max(room, 0.0), sums, left)
-        else:
-            _predict_chunks(disks, scheme, rate, shear, max(room, 0.0), sums, left)
-        if room <= 0.0 or left.sum() > 0:
+        if room <= 0.0 or moved.max() > room * room:
             return k
         if heun:
             record(sums, rate, weight, measured.total)
         forces(disks.p, disks, pairs, law, then, threads, not heun, measured)
         if not heun:
             record(sums, rate, weight, measured.total)
-        if threads is not None:
+        predicted = not heun and k < last and rates[k + 2] == rate
+        if predicted:
+            _predict_all(disks, scheme, rate, strains[k + 2] - pairs.strain, True, sums, moved)
+        elif threads is not None:
             _correct_chunks_threaded(disks, scheme, chunks)
         else:
             _correct_chunks(disks, scheme, chunks)
-    return len(rates) - 1
+    return last + 1
 
 
 @njit(cache=True, error_model="numpy")

@@ -16,12 +16,11 @@ from petscjam.base.types import Array
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.md import kernels
 from petscjam.md.engine import BINS, DXY, DYX, HEAT, JUMPS, KXX, SAMPLED, SUMS, TICKS, TOUCHING, WORK, Totals
-from petscjam.md.kernels import HEUN, SINGLE, Disks, Law, Measured, Moment, Scheme
+from petscjam.md.kernels import Disks, Law, Measured, Moment, Scheme
 from petscjam.md.model import BULK, Model, stable_step
 from petscjam.md.neighbours import list_pairs, mark, open_contacts, order_in_space, wrap
 from petscjam.md.state import State
 
-SCHEMES = {"heun": HEUN, "single": SINGLE}
 SKIN = 0.03  # ds, the first list
 SKINS = 0.005, 0.5  # smallest and largest skin of later lists
 BALANCE = {"heun": 1.3, "single": 2.6}  # cost of a build divided by the cost of the pairs in a skin of 1 ds, per step
@@ -198,7 +197,8 @@ class Simulation:
     def _advance(self, strains: Array, rates: Array, bulk: str) -> int:
         """Make steps until another number of parts is needed; return the number of complete steps."""
         parts = self._begin()
-        scheme = Scheme(SCHEMES[self.integrator], self.dt / parts, parts, BULK[bulk], self._threads)
+        single = True if self.integrator == "single" else None
+        scheme = Scheme(single, self.dt / parts, parts, BULK[bulk], self._threads)
         fine = np.concatenate([rates[:1], np.repeat(rates[1:], parts)])
         at = np.interp(np.arange(len(fine)) / parts, np.arange(len(strains)), strains)
         made, tried = 0, False
