@@ -260,6 +260,21 @@ def test_angles_of_a_collision(bin, place):
 
 
 @EACH
+def test_the_angle_of_a_lone_disk_whose_rotation_is_damped(integrator):
+    """θ = −γ̇t/2 + (θ̇ + γ̇/2)/λ (1 − exp(−λt)), λ = ζr/(mR²/2), to second order."""
+    model, rate, R, spin = Model(MODELS["CD_n"], 1.0, rotational_drag=0.1, mass=2.0), 0.3, 0.6, 0.8
+    decay, errors = 0.1 / (2.0 * R**2 / 2), []
+    for dt in (0.05, 0.025):
+        state = State([[1.0, 2.0]], [[0.6, 0.0]], [spin], [R], 6.0, rate=rate, angles=[0.2])
+        simulation = Simulation(state, model, dt, integrator)
+        advance(simulation, round(4 / dt))
+        exact = 0.2 - rate / 2 * 4 + (spin + rate / 2) / decay * (1 - np.exp(-4 * decay))
+        errors.append(simulation.state.angles[0] - exact)
+    assert errors[0] == pytest.approx(4 * errors[1], rel=0.1)
+    assert abs(errors[0]) < 1e-3
+
+
+@EACH
 def test_drag_on_a_lone_disk(integrator):
     coarse, fine = (drags_a_lone_disk(fast(integrator), dt) for dt in (0.05, 0.025))
     assert coarse == pytest.approx(4 * fine, rel=0.1)

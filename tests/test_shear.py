@@ -674,6 +674,33 @@ def test_a_mass_of_four_is_a_unit_of_time_of_two(tmp_path, model, integrator):
         pj.md.shear(**given, **{**heavy, "mass": 1.0}, resume=True)
 
 
+@pytest.mark.parametrize("integrator", ["heun", "single"])
+def test_angles_are_kept_if_asked_and_survive_a_stop(tmp_path, integrator):
+    """They change nothing else, and go on from those of a start."""
+    file, given = tmp_path / "run.h5", {**SMALL, "integrator": integrator, "frames": 2}
+    plain = pj.md.shear(**SMALL, integrator=integrator)
+    with pytest.raises(StoppedError):
+        pj.md.shear(**given, angles=True, output=file, progress=stop_at(0.45))
+    kept = pj.md.shear(**given, angles=True, output=file, resume=True)
+    undisturbed = pj.md.shear(**SMALL, integrator=integrator, angles=True)
+    assert same(kept, plain) == same(undisturbed, plain) == []
+    assert plain.state.angles is None
+    assert (kept.state.angles == undisturbed.state.angles).all()
+    assert (pj.md.read(file).state.angles == kept.state.angles).all()
+    mean = kept.rows["spin"] @ np.diff(kept.time, prepend=0)
+    assert kept.state.angles.mean() == pytest.approx(mean, abs=0.02)
+    frame = pj.import_packing(tmp_path / "run.frames" / "frame_000002.xyz")
+    assert len(frame) == 36
+    lines = (tmp_path / "run.frames" / "frame_000002.xyz").read_text().splitlines()
+    assert ":angle:R:1 " in lines[1]
+    assert [float(line.split()[-1]) for line in lines[2:]] == pytest.approx(kept.state.angles, rel=1e-6)
+    with pytest.raises(InputError, match="angles = True, not False; it cannot be resumed"):
+        pj.md.shear(**SMALL, integrator=integrator, output=file, resume=True)
+    longer = pj.md.shear("CD_rot", rate=1e-2, strain=1e-4, start=file, angles=True)
+    assert np.abs(longer.state.angles - kept.state.angles).max() < 1e-2
+    assert pj.md.shear("CD_rot", rate=1e-2, strain=1e-4, start=file).state.angles is None
+
+
 def test_states_are_checked_at_birth():
     """Names the array, and the disk."""
     state = random_state(16, 0.8, 1)

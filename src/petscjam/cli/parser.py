@@ -367,6 +367,8 @@ def disks(p: Parser) -> None:
     p.add_argument("--mass", type=Within(number, ranges.MASS), default=1.0, metavar="X", help=text)
     text = "threads of a run; useful from 10000 disks on (default 1)"
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
+    text = "keep the angles by which the disks have turned: in the file and in the frames"
+    p.add_argument("--angles", action="store_true", help=text)
     text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"
     p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
     text = "number of snapshots for OVITO, in the folder OUT.frames (default 0)"

@@ -69,7 +69,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     from petscjam.md.runs import run
     from petscjam.plots.tables import describe_run
 
-    names = "start rescale integrator dt threads exponent stokes_drag rotational_drag mass row_time frames"
+    names = "start rescale integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
     common = {name: getattr(options, name) for name in names.split()}
 
     if options.start is not None and options.start.is_dir():

@@ -61,7 +61,7 @@ class Engine(Protocol):
     most : int
         Largest number of parts of a step since the last :meth:`collect`.
     CHECKPOINT : mapping
-        Axes of each array of a checkpoint (:func:`petscjam.base.files.check_shapes`).
+        Axes of each array of a checkpoint (:func:`petscjam.base.files.check_shapes`); angles only if they are kept.
     """
 
     CHECKPOINT: ClassVar[Mapping[str, str]]

@@ -16,6 +16,7 @@ SYMBOLS = "H", "He", "Li", "Be"  # species by size; all larger ones have the las
 # OVITO reads the first five as Particle Type, Position, Radius, Velocity and Angular Velocity; the others are
 # additional properties.
 COLUMNS = "species:S:1:pos:R:3:radius:R:1:velo:R:3:omega:R:3:peculiar:R:1:local_phi:R:1:local_rate:R:1"
+ANGLE = ":angle:R:1"  # if the state has angles
 
 
 def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
@@ -23,8 +24,9 @@ def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
 
     OVITO opens all frames if one of them is opened: ``frame_*.xyz``. The cell is tilted by the strain modulo 1.
     Each disk has its velocity (of the image in the cell), spin, magnitude of the peculiar velocity, v − γ̇ y x̂,
-    and the packing fraction and the strain rate around it (:func:`petscjam.md.fields.local_maps`); strain, rate
-    and time are attributes of the frame. Units: ds, m, τe. :func:`petscjam.import_packing` can read a frame.
+    and the packing fraction and the strain rate around it (:func:`petscjam.md.fields.local_maps`), and its angle in
+    radians if the run keeps angles; strain, rate and time are attributes of the frame. Units: ds, m, τe.
+    :func:`petscjam.import_packing` can read a frame.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def remove_frames(output: str | PathLike[str], *, overwrite: bool) -> None:
 
 
 def frame(state: State) -> bytes:
-    """Return ``state`` as extended XYZ with the columns :data:`COLUMNS`."""
+    """Return ``state`` as extended XYZ with the columns :data:`COLUMNS`, and :data:`ANGLE`."""
     moved = state.wrapped()
     cell, nothing = state.box.cell, np.zeros(len(state))
     species = np.minimum(np.unique(state.radii, return_inverse=True)[1], len(SYMBOLS) - 1)
@@ -87,13 +89,15 @@ def frame(state: State) -> bytes:
             state.spins,
             np.hypot(*state.peculiar.T),
             *local_maps(state),
+            *([] if state.angles is None else [state.angles]),
         ]
     )
     (ax, ay), (bx, by) = cell.tolist()
+    columns = COLUMNS + ANGLE * (state.angles is not None)
     row = " ".join(["%.12g"] * 4 + ["%.7g"] * (values.shape[1] - 4))
     lines = [
         str(len(state)),
-        f'Lattice="{ax} {ay} 0 {bx} {by} 0 0 0 {2 * state.radii.max()}" Properties={COLUMNS} '
+        f'Lattice="{ax} {ay} 0 {bx} {by} 0 0 0 {2 * state.radii.max()}" Properties={columns} '
         f'pbc="T T F" Time={state.time} strain={state.strain} rate={state.rate} '
         f"potential={state.potential_name}",
         *(f"{SYMBOLS[s]} {row % tuple(some)}" for s, some in zip(species, values.tolist(), strict=True)),

@@ -65,7 +65,10 @@ class Law(NamedTuple):
 
 
 class Disks(NamedTuple):
-    """Disks sorted in space: current and predicted values, forces, radii, masses, and positions at the last build."""
+    """Disks sorted in space: current and predicted values, forces, radii, masses, and positions at the last build.
+
+    ``angle`` has θ, or no element if angles are not kept.
+    """
 
     q: Array
     p: Array
@@ -73,6 +76,7 @@ class Disks(NamedTuple):
     R: Array
     m: Array
     home: Array
+    angle: Array
 
 
 class Moment(NamedTuple):
@@ -479,6 +483,13 @@ def _change(disks, pairs, law, now, old, scheme, measured):
 
 
 @njit(cache=True, error_model="numpy")
+def _turn(disks, time):
+    """Add θ̇ times ``time`` to the angles: half a step before and half after is the trapezoidal rule."""
+    for a in range(len(disks.angle)):
+        disks.angle[a] += time * disks.q[a, 4] / disks.R[a]
+
+
+@njit(cache=True, error_model="numpy")
 def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
     """Make parts of steps as long as the list of pairs is valid.
 
@@ -527,6 +538,7 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
             return k
         if heun:
             record(sums, rate, weight, measured.total)
+        _turn(disks, 0.5 * scheme.dt)
         forces(disks.p, disks, pairs, law, then, threads, not heun, measured)
         if not heun:
             record(sums, rate, weight, measured.total)
@@ -537,6 +549,7 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
             _correct_chunks_threaded(disks, scheme, chunks)
         else:
             _correct_chunks(disks, scheme, chunks)
+        _turn(disks, 0.5 * scheme.dt)
     return last + 1
 
 

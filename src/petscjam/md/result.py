@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import h5py
 
 FORMAT, SCHEMA = "petscjam run", 3  # 1 had neither parts nor other potentials; 1 and 2 had only squares
+ARRAYS = ("positions", "velocities", "spins", "radii", "angles")  # of the state; angles may be absent
 CELL = ("length", "height", "strain", "rate", "time")  # numbers of the state
 MISSED = 0.01  # largest error of the energy budget, relative to the heat, without a warning
 MIXED = ("tangential", "rotational", "contact", "normal")  # V_T, V^R, V^C_T, V_N of VOT eqs. 31–34
@@ -268,8 +269,9 @@ def write_run(h5: h5py.Group, run: Run) -> None:
             if name in known[where]:
                 node[name].attrs["unit"] = known[where][name].unit
     node = group(h5, "state")
-    for key in ("positions", "velocities", "spins", "radii"):
-        node[key] = getattr(run.state, key)
+    for key in ARRAYS:
+        if (values := getattr(run.state, key)) is not None:
+            node[key] = values
     node.attrs.update({key: getattr(run.state, key) for key in CELL})
 
 
@@ -287,7 +289,7 @@ def read_run(h5: h5py.Group) -> Run:
     check_arrays("rows", {name: "K" for name in rows}, rows)
     check_arrays("blocks", {name: f"B {BLOCKS[name].shape}" for name in blocks if name in BLOCKS}, blocks, {"scatter"})
     node, numbers = h5["state"], dict(h5["state"].attrs)
-    arrays = {key: node[key][()] for key in ("positions", "velocities", "spins", "radii")}
+    arrays = {key: node[key][()] for key in ARRAYS if key != "angles" or key in node}
     if h5.attrs["schema"] < 3:
         numbers["height"] = numbers["length"]
     state = State(**arrays, **{key: numbers[key] for key in CELL}, potential_name=settings.model.potential.name)

@@ -86,7 +86,7 @@ def shear(
         File of the run (HDF5), complete at every moment.
     **options
         As for :func:`run`: rescale, integrator, threads, exponent, stokes_drag, rotational_drag, mass,
-        row_time, resume, overwrite, progress, frames.
+        angles, row_time, resume, overwrite, progress, frames.
 
     Returns
     -------
@@ -155,6 +155,7 @@ def run(
     stokes_drag: float = 0.0,
     rotational_drag: float = 0.0,
     mass: float = 1.0,
+    angles: bool = False,
     row_time: float | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -181,6 +182,8 @@ def run(
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     mass : float
         Of every disk, in m. Q stays m/(kd τe) with the unit m of mass, so mass does not change kd = 1/Q.
+    angles : bool
+        Keep the angles by which the disks have turned, in radians: in the state, the file and the frames.
     row_time : float
         τe between two rows of the time series, at least 50 steps; default: a thousandth of the run, or 10³ τe in
         a ramp.
@@ -222,7 +225,7 @@ def run(
         dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
         total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)
         made: dict[str, Any] = {"dt": dt, "integrator": integrator, "row_steps": row_steps, "threads": threads}
-        made |= {"protocol": protocol.name, "history": protocol.settings, "bulk": protocol.bulk}
+        made |= {"angles": angles, "protocol": protocol.name, "history": protocol.settings, "bulk": protocol.bulk}
         made |= {"version": release("petscjam"), **build()}
         if earlier is not None:
             asked = {"particles": n, "phi": phi} | ({"seed": seed} if given is None else {"start": origin})
@@ -233,6 +236,8 @@ def run(
                 recorder = Recorder(replace(earlier.run.settings, **latest), disks, earlier.run, earlier.saved)
         else:
             first = first_state(given, origin, n, phi, seed, law, protocol)
+            turned = np.zeros(len(first)) if first.angles is None else first.angles
+            first = replace(first, angles=turned if angles else None)
             made |= {"start": origin, "strain0": first.strain, "time0": first.time}
             made |= {"particles": len(first), "phi": first.phi, "seed": seed if given is None else None}
             disks = kind(first, law, dt, integrator, threads)
@@ -319,4 +324,6 @@ def _earlier(output: str | PathLike[str], engine: type[Engine]) -> _Earlier:
     with open_h5(output) as h5:
         if h5.attrs.get("schema") == 1:
             raise InputError("was made by an older petscjam; it cannot be resumed, but it can be a start")
-        return _Earlier(output, read_run(h5), read_checkpoint(h5, engine.CHECKPOINT))
+        run = read_run(h5)
+        shapes = {name: axes for name, axes in engine.CHECKPOINT.items() if name != "angles" or run.settings.angles}
+        return _Earlier(output, run, read_checkpoint(h5, shapes))

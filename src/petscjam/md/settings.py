@@ -50,6 +50,8 @@ class Settings:
         Time steps of a row.
     seed : int or None
         Of a random start.
+    angles : bool
+        Whether the angles of the disks are kept.
     threads : int
     version, numba, processor : str
         Version, numba and processor: the last bits of the numbers may depend on them.
@@ -68,6 +70,7 @@ class Settings:
     bulk: str = "scale"
     row_steps: int = 1
     seed: int | None = None
+    angles: bool = False
     threads: int = 1
     version: str | None = None
     numba: str | None = None

@@ -57,6 +57,7 @@ class Simulation:
         "q": "N 5",
         "radii": "N",
         "masses": "N",
+        "angles": "N",
         "tag": "N",
         "contacts": "C 3",
         "numbers": "5",
@@ -84,7 +85,8 @@ class Simulation:
         m = np.full(n, model.mass) if masses is None else np.array(masses, dtype=float)
         if m.shape != (n,) or not (m > 0).all():
             raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
-        self._disks = Disks(q, q.copy(), np.zeros((n, 3)), state.radii.copy(), m, q[:, :2].copy())
+        angle = np.empty(0) if state.angles is None else state.angles.copy()
+        self._disks = Disks(q, q.copy(), np.zeros((n, 3)), state.radii.copy(), m, q[:, :2].copy(), angle)
         exponent = None if model.potential.exponent == 2 else model.potential.exponent
         absolute = None if model.potential.relative else 1.0
         self._law = Law(
@@ -127,7 +129,7 @@ class Simulation:
         order = order_in_space(d.q, self.length, self.height)
         self.tag = self.tag[order]
         q = d.q[order]
-        self._disks = d = Disks(q, d.p, d.F, d.R[order], d.m[order], q[:, :2].copy())
+        self._disks = d = Disks(q, d.p, d.F, d.R[order], d.m[order], q[:, :2].copy(), d.angle[order[: len(d.angle)]])
         self._pairs = list_pairs(d.home, d.R, self.length, self.height, self.strain, self.skin)
         self._since = self.substeps
         self.rebuilds += 1
@@ -306,12 +308,10 @@ class Simulation:
     @property
     def state(self) -> State:
         """The current state, disks in the order of the start."""
-        q = np.empty_like(self._disks.q)
-        q[self.tag] = self._disks.q
-        R = np.empty(len(q))
-        R[self.tag] = self._disks.R
+        d, place = self._disks, np.argsort(self.tag)
+        q, R, angles = d.q[place], d.R[place], d.angle[place] if len(d.angle) else None
         cell, name = (self.length, self.strain, self.rate, self.time), self.model.potential.name
-        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height)
+        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height, angles)
 
     def checkpoint(self) -> dict[str, Any]:
         """Build a new list; return everything that :meth:`restored` needs to continue bit for bit.
@@ -321,7 +321,7 @@ class Simulation:
         self.rebuild()
         self._divided = self.parts
         d = self._disks
-        return {
+        saved = {
             "q": d.q.copy(),
             "radii": d.R.copy(),
             "masses": d.m.copy(),
@@ -332,6 +332,7 @@ class Simulation:
             "counts": np.array([self.steps, self.rebuilds]),
             "start": self._start.copy(),
         }
+        return saved | {"angles": d.angle.copy()} if len(d.angle) else saved
 
     @classmethod
     def restored(
@@ -358,9 +359,10 @@ class Simulation:
             raise InputError("checkpoint: tag or contacts contain disks that do not exist")
         length, strain, rate, time, skin = (float(x) for x in saved["numbers"])
         cell = (length, strain, rate, time, model.potential.name, float(saved["height"][0]))
-        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, *cell)
+        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, *cell, saved.get("angles"))
         new = cls(state, model, dt, integrator, threads, saved["masses"])
-        new._disks = Disks(q.copy(), q.copy(), np.zeros((len(q), 3)), radii, saved["masses"], q[:, :2].copy())
+        others = (saved["masses"], q[:, :2].copy(), np.array(saved.get("angles", ())))
+        new._disks = Disks(q.copy(), q.copy(), np.zeros((len(q), 3)), radii, *others)
         new.tag, new.skin = saved["tag"].copy(), skin
         new.steps, new.rebuilds = (int(x) for x in saved["counts"])
         new.rebuilds -= 1

@@ -45,6 +45,8 @@ class State:
         Of the repulsion, as in a :class:`petscjam.Packing`; its energy scale is 1 for disks of diameter ds.
     height : float
         Ly; default: Lx.
+    angles : (N,)
+        Angles θ by which the disks have turned; None: not kept.
 
     Raises
     ------
@@ -62,10 +64,13 @@ class State:
     time: float = 0.0
     potential_name: str = "harmonic-relative"  # VOT eq. 1 with α = 2
     height: float = None  # type: ignore[assignment]
+    angles: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.radii))
-        for name, shape in (("positions", (n, 2)), ("velocities", (n, 2)), ("spins", (n,)), ("radii", (n,))):
+        shapes = {"positions": (n, 2), "velocities": (n, 2), "spins": (n,), "radii": (n,)}
+        shapes |= {} if self.angles is None else {"angles": (n,)}
+        for name, shape in shapes.items():
             values = frozen(getattr(self, name))
             if values.shape != shape:
                 raise InputError(f"state: {name} must have shape {shape}, not {values.shape}")
