@@ -360,28 +360,6 @@ def test_the_bulk_is_what_a_start_follows():
     assert start(flow, "scale").velocities == pytest.approx(flow.velocities * 0.3 / flow.rate)
 
 
-@pytest.mark.parametrize("name", ["harmonic", "harmonic-relative"])
-def test_an_oscillation_measures_the_modulus_of_the_linear_response(name):
-    """A jammed packing swung slowly by 1e-5 shows the G* of the solver, but for inertia and time steps."""
-    start = pj.prepare_packing(32, pressure=2e-2, seed=2, potential_name=name)
-    scale = 2 * start.radii.min()  # the state is in units of the smallest diameter
-    amplitude, omega, Q = 1e-5, 0.02, 1.0
-    swung = run(protocols.oscillation(amplitude, omega, 6), "CD", Q=Q, start=start, row_time=2 * np.pi / omega / 40)
-    kept = swung.time > 2 * 2 * np.pi / omega
-    step = np.diff(swung.time).mean()
-    phase = omega * (swung.time[kept] - step / 2)
-    assert swung.missed < 1e-3
-    stress = swung.stress[kept]
-    design = np.column_stack([np.sin(phase), np.cos(phase), np.ones(kept.sum())])
-    storage, loss, _ = np.linalg.lstsq(design, stress, rcond=None)[0] / amplitude
-    state = swung.state
-    packing = pj.Packing(start.positions / scale, start.radii / scale, pj.Box(start.box.cell / scale), name)
-    g = pj.complex_modulus(packing, [omega / Q], damping=ContactDamping(beta=1.0, rotations=False))
-    assert state.phi == pytest.approx(packing.phi)
-    assert storage == pytest.approx(g.values[0].real, rel=0.02)
-    assert loss == pytest.approx(g.values[0].imag, rel=0.05)
-
-
 def test_every_start_is_recorded(tmp_path):
     """History matters."""
     file, given = tmp_path / "run.h5", {"rate": 1e-2, "strain": 0.05}

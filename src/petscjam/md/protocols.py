@@ -35,6 +35,8 @@ class Protocol:
         Its parameters.
     row_time : float
         τe between two rows of the time series; None: the default number of rows.
+    period : float
+        τe; rows are shorter than a 32nd of it. None: not periodic.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Protocol:
     bulk: str
     settings: dict[str, Any] = field(default_factory=dict)
     row_time: float | None = None
+    period: float | None = None
 
 
 def steady(rate: float, strain: float, bulk: str = "scale") -> Protocol:
@@ -162,8 +165,12 @@ def oscillation(amplitude: float, omega: float, cycles: float) -> Protocol:
         known.check(f"shear: the {name}", value)
     ranges.RATE_SIZE.check("shear: amplitude × omega", amplitude * omega)
     settings = {"rate": amplitude * omega, "amplitude": amplitude, "omega": omega, "cycles": cycles}
-    duration = 2 * np.pi * cycles / omega
-    return Protocol("oscillation", lambda t: amplitude * omega * np.cos(omega * t), duration, "profile", settings)
+    period = 2 * np.pi / omega
+
+    def rates(t: Array) -> Array:
+        return amplitude * omega * np.cos(omega * t)
+
+    return Protocol("oscillation", rates, period * cycles, "profile", settings, period=period)
 
 
 def _check_rate(rate: float) -> None:

@@ -37,6 +37,7 @@ from petscjam.rows.damping import DampingLaw
 
 ENGINES: dict[str, type[Engine]] = {"cpu": Simulation}
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and smallest number of steps of a row
+PER_PERIOD = 32  # rows of a period, at least
 BUILD = ("version", "numba", "processor")  # settings that change only the last bits
 OWN = ("threads", "cycles", *BUILD)  # settings that a resumed run may change
 BYTES_PER_STEP = 16  # in a row: strains and rates of a fifth of its steps, and temporary arrays
@@ -185,8 +186,8 @@ def run(
     angles : bool
         Keep the angles by which the disks have turned, in radians: in the state, the file and the frames.
     row_time : float
-        τe between two rows of the time series, at least 50 steps; default: a thousandth of the run, or 10³ τe in
-        a ramp.
+        τe between two rows of the time series, at least 50 steps; default: a thousandth of the run, at most a 32nd
+        of a period, or 10³ τe in a ramp.
     resume : bool
         Continue from the end of ``output``, bit for bit as without the stop. A longer run continues from its end.
         The default ``dt`` and ``row_time`` are those of ``output``.
@@ -283,6 +284,8 @@ def _lengths(protocol: Protocol, dt: float, row_time: float | None, earlier: int
         row_steps = max(LEAST, round(between / dt))
     else:
         row_steps = earlier or max(LEAST, -(-total // ROW_COUNT))
+        if protocol.period is not None and earlier is None:
+            row_steps = min(row_steps, max(1, int(protocol.period / dt / PER_PERIOD), -(-total // MOST_ROWS)))
     rows = -(-total // row_steps)
     if row_steps > MOST_STEPS:
         raise InputError(f"shear: row_time = {between:g} is {row_steps:.3g} steps; at most {MOST_STEPS:.0g}")

@@ -17,6 +17,7 @@ from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, disks, save
 from petscjam.plots.packing import OUTLINED
+from petscjam.plots.tables import means_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,8 +116,13 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
     )
     contacts.plot(x, run.contacts, color=STABLE, lw=1.1)
     contacts.set(ylabel="contacts of a disk  $Z$", ylim=(0, 1.1 * max(run.contacts.max(), 1e-3)))
-    friction.plot(x, run.friction, color=GREY, lw=1.1)
-    friction.set(ylabel=r"$\mu = \Sigma/P$")
+    if run.settings.protocol == "oscillation":
+        friction.plot((strain[1:] + strain[:-1]) / 2, run.stress, color=LOSS, lw=0.8)
+        friction.set(xlabel=r"strain $\gamma$", ylabel=r"$\Sigma$  ($m/\tau_e^2$)")
+        panels = stresses, contacts, energy
+    else:
+        friction.plot(x, run.friction, color=GREY, lw=1.1)
+        friction.set(ylabel=r"$\mu = \Sigma/P$")
     with np.errstate(divide="ignore", invalid="ignore"):
         imbalance = np.abs(np.cumsum(run.rows["imbalance"])) / np.cumsum(run.rows["heat"])
     energy.semilogy(x, np.where(imbalance > 0, imbalance, np.nan), color=GREY, lw=1.1)
@@ -224,11 +230,7 @@ def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None
 def _draw_means(axes: Axes, run: Run) -> None:
     axes.set_axis_off()
     lines = ["time means after a quarter of the strain", ""]
-    if run.after().sum() < 2:
-        lines.append("the run is too short")
-    else:
-        told = run.means().items()
-        lines += [f"{name:10s} {m.value:11.4g} ± {m.error:.2g}" for name, m in told if np.isfinite(m.value)]
+    lines += means_of(run, "{:10s} {:11.4g} ± {:.2g}") if run.after().sum() > 1 else ["the run is too short"]
     if b := _two_bands(run):
         lines += ["", "two bands:"]
         for rate, share, middle in zip(b.rates, b.shares, b.centres, strict=True):

@@ -13,6 +13,7 @@ from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.md.observables import AbsentError
+from petscjam.md.oscillations import summary
 from petscjam.md.result import MEANS, Run
 from petscjam.preparation.library import Library
 from petscjam.response.origin import Result
@@ -125,11 +126,26 @@ def describe_run(run: Run) -> str:
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
     ]
     if run.after().sum() > 1:
-        lines += [f"{symbol:12s} {mean.value:.4g} ± {mean.error:.1g}" for symbol, mean in run.means().items()]
+        lines += means_of(run, "{:12s} {:.4g} ± {:.1g}")
     for describe in (_lifetimes, _budget, _parts):
         with suppress(AbsentError):
             lines += describe(run)
     return "\n".join([*lines, *(f"WARNING: {text}" for text in run.warnings)])
+
+
+def means_of(run: Run, line: str) -> list[str]:
+    """Return a line for each of the means of a run, or the reason why there are none; see :func:`summary`.
+
+    Parameters
+    ----------
+    run : Run
+    line : str
+        Format of symbol, mean and error.
+    """
+    try:
+        return [line.format(symbol, *m) for symbol, m in summary(run).items() if np.isfinite(m.value)]
+    except InputError as error:
+        return [str(error)]
 
 
 def _lifetimes(run: Run) -> list[str]:
