@@ -289,6 +289,7 @@ BAD = [
     ("--bulk profile", "--bulk"),
     ("--oscillate 0.1:0.1:1 --bulk scale", "--bulk"),
     ("--start nowhere.h5 --seeds 1:2", "--seeds"),
+    ("--start a.h5 b/a.h5", "a"),
     ("--start nowhere.h5 --seed 2", "--seed"),
     ("--phi 0.8 --rescale", "rescale"),
     ("--mass 0", "0"),
@@ -810,6 +811,31 @@ def test_a_point_that_fails_stops_no_other(comm, tmp_path):
     assert [failure.split(":")[0] for failure in failures] == [points[1].name]
     with pytest.raises(InputError, match="exists already"):
         run_grid(points, folder, work, comm=comm, log=lambda file, _: None)
+
+
+def test_ramps_over_seeds_and_over_starts_are_one_command(mpirun, tmp_path, capsys):
+    """Dealt over the ranks into a folder, each as alone; a start gives its number of disks, φ and name."""
+    ramp = ["ramp", "--model", "CD", "--rate", "1e-3", "--to", "2e-3", "--kappa", "0.01"]
+    done = mpirun(2, "-m", "petscjam", *ramp, "--particles", "36", "--seeds", "1:2", "-o", tmp_path / "seeds")
+    assert done.returncode == 0, done.stderr
+    assert [file.stem[-5:] for file in sorted((tmp_path / "seeds").glob("*.h5"))] == ["seed1", "seed2"]
+    pj.md.shear("CD", 36, 0.84, rate=1e-3, strain=0.01, output=tmp_path / "flow.h5")
+    jammed(n=64).write(tmp_path / "packing.h5")
+    starts = ["--start", tmp_path / "flow.h5", tmp_path / "packing.h5"]
+    done = mpirun(2, "-m", "petscjam", *ramp, *starts, "-o", tmp_path / "starts")
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 runs" in done.stdout
+    runs = read_folder(tmp_path / "starts")
+    assert sorted(runs) == ["CD-Q1-rate0.001-flow", "CD-Q1-rate0.001-packing"]
+    for name, file in (("flow", "flow.h5"), ("packing", "packing.h5")):
+        alone = pj.md.ramp("CD", rate=1e-3, to=2e-3, kappa=0.01, start=tmp_path / file)
+        assert same(runs[f"CD-Q1-rate0.001-{name}"], alone) == []
+    (tmp_path / "other").mkdir()
+    jammed(n=64).write(tmp_path / "other" / "packing.h5")
+    words = [*ramp, *starts, tmp_path / "other" / "packing.h5", "-o", tmp_path / "more"]
+    assert main([str(word) for word in words]) == 2
+    assert "several starts are called packing" in capsys.readouterr().err
+    assert not (tmp_path / "more").exists()
 
 
 def test_one_run_on_two_ranks_is_made_once(mpirun, tmp_path):

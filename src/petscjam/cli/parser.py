@@ -342,9 +342,9 @@ def disks(p: Parser) -> None:
     either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help=text)
     text = (
         "start from the end of a run, from a packing, or from the folder of a LAMMPS run (export --to "
-        "lammps), not from random positions"
+        "lammps), not from random positions; several: a run from each"
     )
-    p.add_argument("--start", type=path, metavar="FILE", help=text)
+    p.add_argument("--start", type=path, nargs="+", metavar="FILE", default=[], help=text)
     text = "change cell and positions of --start to --phi; radii and peculiar velocities stay"
     p.add_argument("--rescale", action="store_true", help=text)
     text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"

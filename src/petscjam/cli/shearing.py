@@ -69,18 +69,19 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     from petscjam.md.runs import run
     from petscjam.plots.tables import describe_run
 
-    names = "start rescale integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
+    names = "rescale integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
     common = {name: getattr(options, name) for name in names.split()}
+    alone = options.start[0] if len(options.start) == 1 else None
 
-    if options.start is not None and options.start.is_dir():
-        from petscjam.io.lammps_shear import read_lammps
+    def work(rate: float, start: Any, **settings: Any) -> Any:
+        start = start or alone
+        if start is not None and start.is_dir():
+            from petscjam.io.lammps_shear import read_lammps
 
-        common["start"] = read_lammps(options.start)
-
-    def work(rate: float, **settings: Any) -> Any:
+            start = read_lammps(start)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DoubtfulWarning)  # they are printed with the name of the file
-            return run(protocol(rate), **common, **settings)
+            return run(protocol(rate), start=start, **common, **settings)
 
     def log(file: Path, done: Any) -> None:
         print(file, flush=True)
@@ -99,7 +100,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
 
         say(comm, on_root(comm, one))
         return
-    if options.start is not None and (options.particles is None or options.phi is None):
+    if alone is not None and (options.particles is None or options.phi is None):
         raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
     with progress(options.verb, show=comm.rank == 0) as report:
         made, failures = run_grid(points, options.output, work, comm=comm, progress=report, log=log, **existing)
@@ -115,10 +116,11 @@ def _points(options: argparse.Namespace, rates: list[float]) -> list[Point]:
     if options.model and law_options(options):
         raise InputError(f"{options.verb}: {law_options(options)[0]} takes the place of --model")
     models = options.model or (chosen_laws(options) if law_options(options) else ["CD_rot"])
-    start = options.start is not None
+    start = bool(options.start)
     if start and (options.seeds or options.seed is not None):
         raise InputError(f"{options.verb}: --seed and --seeds go without --start: nothing would be random")
     sizes = options.particles or [None if start else 1024]
     phis = options.phi or [None if start else 0.82]
     seeds = options.seeds or [1 if options.seed is None else options.seed]
-    return grid(models, sizes, phis, options.Q, rates, seeds)
+    starts = options.start if len(options.start) > 1 else [None]
+    return grid(models, sizes, phis, options.Q, rates, seeds, starts)

@@ -1,4 +1,4 @@
-"""Many runs, distributed over ranks: every combination of model, size, packing fraction, Q, strain rate and seed."""
+"""Many runs, distributed over ranks: every combination of model, size, packing fraction, Q, rate, seed and start."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from petscjam.base.errors import InputError
+from petscjam.base.errors import InputError, readable
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_RUNS
@@ -21,34 +21,39 @@ from petscjam.rows.damping import DampingLaw
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a grid."""
+    """One run of a grid; with a start, number of disks and packing fraction may be None: those of the start."""
 
     model: str | DampingLaw
-    n: int
-    phi: float
+    n: int | None
+    phi: float | None
     Q: float
     rate: float
     seed: int
+    start: Path | None = None
 
     @property
     def name(self) -> str:
         """Name of its file, without the extension."""
         law = self.model if isinstance(self.model, str) else str(self.model).replace(" ", "")
-        return f"{law}-N{self.n}-phi{self.phi:g}-Q{self.Q:g}-rate{self.rate:g}-seed{self.seed}"
+        size = "" if self.n is None else f"-N{self.n}"
+        density = "" if self.phi is None else f"-phi{self.phi:g}"
+        first = f"seed{self.seed}" if self.start is None else self.start.stem
+        return f"{law}{size}{density}-Q{self.Q:g}-rate{self.rate:g}-{first}"
 
     @property
     def cost(self) -> float:
         """Computing time for a given strain, in any unit."""
-        return self.n / abs(self.rate) if self.rate else 0.0
+        return (self.n or 1) / abs(self.rate) if self.rate else 0.0
 
 
 def grid(
     models: Sequence[str | DampingLaw],
-    n: Sequence[int],
-    phi: Sequence[float],
+    n: Sequence[int | None],
+    phi: Sequence[float | None],
     Q: Sequence[float],
     rate: Sequence[float],
     seeds: Sequence[int],
+    starts: Sequence[Path | None] = (None,),
 ) -> list[Point]:
     """Return every combination, each once.
 
@@ -58,6 +63,8 @@ def grid(
         Names of models of VOT, or damping laws.
     n, phi, Q, rate, seeds : sequences
         Numbers of disks, packing fractions, quality factors, strain rates (1/τe), seeds.
+    starts : sequence
+        Files of runs or packings, or folders of LAMMPS runs.
 
     Returns
     -------
@@ -66,12 +73,18 @@ def grid(
     Raises
     ------
     InputError
-        If there are more than :data:`petscjam.base.ranges.MOST_RUNS`.
+        If there are more than :data:`petscjam.base.ranges.MOST_RUNS`, or two starts have the same name.
     """
-    count = math.prod(map(len, (models, n, phi, Q, rate, seeds)))
+    axes = (models, n, phi, Q, rate, seeds, list(dict.fromkeys(starts)))
+    names = [start.stem for start in axes[-1] if start is not None]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise InputError(
+            f"shear: several starts are called {readable(twice.pop())}: the files of their runs would be the same"
+        )
+    count = math.prod(map(len, axes))
     if count > MOST_RUNS:
         raise InputError(f"shear: {count} runs; at most {MOST_RUNS:.0g} at once")
-    return list(dict.fromkeys(Point(*values) for values in product(models, n, phi, Q, rate, seeds)))
+    return list(dict.fromkeys(Point(*values) for values in product(*axes)))
 
 
 @deferred()

@@ -65,9 +65,9 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
     """Return the moduli of an oscillation, from a least-squares fit to the stress of each cycle.
 
     The fit contains the mean and all harmonics up to the largest of ``orders``, at least 5, each averaged over the
-    time of a row, because rows are averages. In the rows the damping of the affine motion is half a time step early (with one
-    evaluation a step: late), because the rate changes from step to step; this changes G′ by −ω² η∞ dt/2 (+), with the
-    viscosity η∞ of the affine motion, and is corrected with η∞ of the last state.
+    time of a row, because rows are averages. In the rows the damping of the affine motion is half a time step early
+    (with one evaluation a step: late), because the rate changes from step to step; this changes G′ by −ω² η∞ dt/2
+    (+), with the viscosity η∞ of the affine motion, and is corrected with η∞ of the last state.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
     Raises
     ------
     InputError
-        If the run is not an oscillation, or has no complete cycle left, or fewer than four rows in a cycle.
+        If the run is not an oscillation, or has no complete cycle left, or too few rows in a cycle.
     """
     s = run.settings
     if s.protocol != "oscillation":
@@ -93,13 +93,14 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
         raise InputError(f"oscillation: {complete} complete cycles, of which {skip} are left out")
     fewest = int(np.bincount(cycle, minlength=complete)[skip:complete].min())
     n = np.arange(1, min(max(*orders, *ORDERS), fewest // 2 - 1) + 1)
-    if not len(n):
-        raise InputError(f"oscillation: {fewest} rows in a cycle, at least 4 are needed: take a smaller row_time")
+    shown = n[np.isin(n, orders)]
+    if not len(shown):
+        need = 2 * min(orders) + 2
+        raise InputError(f"oscillation: {fewest} rows in a cycle, at least {need} are needed: take a smaller row_time")
     mean, phase = np.sinc(np.outer(width, n) / (2 * np.pi)), np.outer(middle, n)
     design = np.column_stack([mean * np.sin(phase), mean * np.cos(phase), np.ones(len(end))])
     stress, kept = run.stress, [cycle == c for c in range(skip, complete)]
     fits = np.array([np.linalg.lstsq(design[rows], stress[rows], rcond=None)[0] for rows in kept])
-    shown = np.array([k for k in n if k in orders])
     storage, loss = fits[:, shown - 1] / amplitude, fits[:, len(n) + shown - 1] / amplitude
     if shown[0] == 1:
         part = s.dt * len(end) / run.rows["parts"].sum()
