@@ -183,3 +183,7 @@ def test_info_and_figure_of_an_oscillation(tmp_path, capsys):
         assert f"\n{name}" not in text
     assert f"G″           {harmonics(pj.md.read(file)).modulus.imag:.4g} ±" in text
     plot_run(pj.md.read(file), tmp_path / "run.png")
+    assert main(["info", str(tmp_path)]) == 0
+    head, row = capsys.readouterr().out.splitlines()[1:3]
+    assert head.split() == ["run", "strain", "G′", "G″", "P", "Z"]
+    assert f"{harmonics(pj.md.read(file)).modulus.imag:.4g} ±" in row

@@ -1,3 +1,4 @@
+from .oscillations import harmonics as harmonics
 from .result import Run as Run
 from .result import read as read
 from .runs import ramp as ramp

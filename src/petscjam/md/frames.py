@@ -22,7 +22,7 @@ ANGLE = ":angle:R:1"  # if the state has angles
 def write_frame(state: State, folder: str | PathLike[str], index: int) -> Path:
     """Write ``state`` as frame ``index`` into ``folder``, which is made if necessary, and return the file.
 
-    OVITO opens all frames if one of them is opened: ``frame_*.xyz``. The cell is tilted by the strain modulo 1.
+    OVITO opens all frames if one of them is opened: ``frame_*.xyz``. The cell is tilted by γLy modulo Lx.
     Each disk has its velocity (of the image in the cell), spin, magnitude of the peculiar velocity, v − γ̇ y x̂,
     and the packing fraction and the strain rate around it (:func:`petscjam.md.fields.local_maps`), and its angle in
     radians if the run keeps angles; strain, rate and time are attributes of the frame. Units: ds, m, τe.

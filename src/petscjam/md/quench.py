@@ -1,7 +1,7 @@
 """From a sheared run to the linear response: the energy of a snapshot is minimised at a fixed cell.
 
 Size and shape of the cell do not relax, so the minimum has a shear stress: the packing is anisotropic, and its
-cell is tilted by the strain modulo 1.
+cell is tilted by γLy modulo Lx.
 """
 
 from __future__ import annotations

@@ -177,12 +177,18 @@ def _parts(run: Run) -> list[str]:
 def describe_runs(runs: Mapping[str, Run]) -> str:
     """Return a table of sheared runs, one line for each."""
     width = max(len(name) for name in runs)
-    columns = ["P elastic", "Σ elastic", "μ", "Z", "Rv"]
+    swings = all(run.settings.protocol == "oscillation" for run in runs.values())
+    columns = ["G′", "G″", "P", "Z"] if swings else ["P elastic", "Σ elastic", "μ", "Z", "Rv"]
     head = " ".join([f"{'run':{width}}", f"{'strain':>8}", *(f"{name:>20}" for name in columns)])
     lines = ["units: ds, m, tau_e; means ± standard errors leave out the first quarter", head]
     for name, run in runs.items():
-        means = [run.mean(MEANS[column]) if run.after().sum() > 1 else None for column in columns]
-        values = [f"{m.value:.4g} ± {m.error:.1g}" if m else "too short" for m in means]
+        means = {}
+        if swings:
+            with suppress(InputError):
+                means = summary(run)
+        elif run.after().sum() > 1:
+            means = {name: run.mean(MEANS[name]) for name in columns}
+        values = [f"{m.value:.4g} ± {m.error:.1g}" if (m := means.get(name)) else "too short" for name in columns]
         row = [f"{name:{width}}", f"{run.strain[-1]:8.4g}", *(f"{value:>20}" for value in values)]
         lines.append(" ".join(row))
         lines += [f"{'':{width}} WARNING: {text}" for text in run.warnings]
