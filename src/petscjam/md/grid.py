@@ -77,10 +77,8 @@ def grid(
     """
     axes = (models, n, phi, Q, rate, seeds, list(dict.fromkeys(starts)))
     names = [start.stem for start in axes[-1] if start is not None]
-    if twice := {name for name in names if names.count(name) > 1}:
-        raise InputError(
-            f"shear: several starts are called {readable(twice.pop())}: the files of their runs would be the same"
-        )
+    if twice := sorted(name for name in names if names.count(name) > 1):
+        raise InputError(f"shear: several starts are called {readable(twice[0])}, and so would be their runs")
     count = math.prod(map(len, axes))
     if count > MOST_RUNS:
         raise InputError(f"shear: {count} runs; at most {MOST_RUNS:.0g} at once")

@@ -28,11 +28,8 @@ STEP = 0.05  # τe for a mass of 1, VOT sec. II D
 # The largest products of dt and the relaxation rates of two touching disks, normal and tangential, with an error
 # of the energy budget below 1 % of the heat (measured, docs/design/0015).
 ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
-STORED = {
-    "drag": "stokes_drag",
-    "spin_drag": "rotational_drag",
-    "mass": "mass",
-}  # names in the file of a run, and fields
+# Names in the file of a run, and of the fields.
+STORED = {"drag": "stokes_drag", "spin_drag": "rotational_drag", "mass": "mass"}
 
 
 @dataclass(frozen=True)
