@@ -66,7 +66,7 @@ def files(tmp_path_factory):
     packing = pj.Packing.read(found["packing"])
     pj.write_spectrum(pj.spectrum(packing), found["spectrum"])
     append_result(pj.mode_sum(packing, 4), found["rebuilt"], "one")
-    run = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2", "--angles", "-o", str(found["run"])]
+    run = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2", "-o", str(found["run"])]
     assert main(run) == 0
     return found
 
@@ -225,7 +225,7 @@ def outcome(capfd, path, *arguments):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("verb", ["info", pytest.param("all", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("verb", ["info", pytest.param("all", marks=[pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_wrong_content(files, tmp_path, capfd, kind, verb):
     """Every place with something wrong in it; the fast test tries a tenth of them."""
     data, refusals = files[kind].read_bytes(), 0
@@ -247,7 +247,7 @@ def test_wrong_content(files, tmp_path, capfd, kind, verb):
 @pytest.mark.parametrize("word", ["gone", "text", "nan", "empty", "cube", "complex", "yes"])
 def test_wrong_checkpoints_are_not_resumed(files, tmp_path, capfd, word):
     data, copy = files["run"].read_bytes(), tmp_path / "run.h5"
-    resume = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2", "--angles", "--resume", "-o", copy]
+    resume = ["shear", "--particles", "16", "--rate", "1e-2", "--strain", "0.2", "--resume", "-o", copy]
     for place in places(files["run"]):
         if place[0].startswith("checkpoint/"):
             copy.write_bytes(data)

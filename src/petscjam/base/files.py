@@ -336,8 +336,16 @@ def h5_format(path: str | PathLike[str]) -> str | None:
         if raw.read(len(HDF5_SIGNATURE)) != HDF5_SIGNATURE:
             return None
     with open_h5(path) as file:
-        found = file.attrs.get("format")
-        return found if isinstance(found, str) else None
+        return marked(file)[0]
+
+
+def marked(h5: h5py.Group) -> tuple[str | None, int | None]:
+    """Return the attributes ``format`` and ``schema`` of an open file; None if absent, or of another type."""
+    import numpy as np
+
+    kind, schema = (h5.attrs.get(name) for name in ("format", "schema"))
+    whole = isinstance(schema, int | np.integer) and not isinstance(schema, bool)
+    return kind if isinstance(kind, str) else None, int(schema) if whole else None
 
 
 def _mark(raw: BinaryIO) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from petscjam.base.errors import InputError, shown
-from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, open_h5
+from petscjam.base.files import atomic_h5, check_output, check_shapes, check_type, marked, open_h5
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
@@ -74,8 +74,8 @@ def append_result(
     """
     kind = PREFIX + kind_of(type(result))
     with atomic_h5(file, existing=path.exists(file) and not fresh) as h5:
-        there = h5.attrs.get("format", kind)
-        if there != kind:
+        there = marked(h5)[0]
+        if "format" in h5.attrs and there != kind:
             raise InputError(f"{file}: holds {there!r}, not {kind!r}")
         h5.attrs.update(format=kind, schema=SCHEMA, run=run)
         node = h5.create_group(group)
@@ -101,11 +101,11 @@ def read_results(file: str | PathLike[str]) -> dict[str, Any]:
         If the file is missing, damaged, or holds no results.
     """
     with open_h5(file) as h5:
-        kind, schema = h5.attrs.get("format"), h5.attrs.get("schema")
+        kind, schema = marked(h5)
         if kind == SPECTRUM and schema == SCHEMA:
             model = _read_model(h5)
             return {model.origin.name: ComplexModulus.sampled(model, per_decade(10, *model.span))}
-        if kind not in _formats() or schema != SCHEMA:
+        if kind is None or kind not in _formats() or schema != SCHEMA:
             raise InputError(f"holds {kind!r} with schema {schema}, not results with schema {SCHEMA}")
         made = class_of(kind.removeprefix(PREFIX))
         return {name: made(**_values(node, made)) for name, node in h5.items()}
@@ -130,8 +130,9 @@ def inventory(file: str | PathLike[str]) -> list[Item]:
         If the file is missing, damaged, or holds no results.
     """
     with open_h5(file) as h5:
-        if h5.attrs.get("format") not in _formats() or h5.attrs.get("schema") != SCHEMA:
-            raise InputError(f"holds {shown(h5.attrs.get('format'))}, not results")
+        kind, schema = marked(h5)
+        if kind not in _formats() or schema != SCHEMA:
+            raise InputError(f"holds {shown(kind)}, not results")
         items = []
         for name, node in h5.items():
             origin = _origin(node)
@@ -240,7 +241,7 @@ def read_spectrum(file: str | PathLike[str]) -> Spectrum:
         If the file is missing, damaged, or holds no reduced model, or several.
     """
     with open_h5(file) as h5:
-        if (h5.attrs.get("format"), h5.attrs.get("schema")) == (SPECTRUM, SCHEMA):
+        if marked(h5) == (SPECTRUM, SCHEMA):
             return _read_model(h5)
     model = read_modulus(file).model
     if model is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.base.errors import InputError
-from petscjam.base.files import atomic_h5, group
+from petscjam.base.files import atomic_h5, group, marked
 from petscjam.base.interrupt import check
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
@@ -248,7 +248,7 @@ def read_checkpoint(h5: h5py.Group, shapes: Mapping[str, str]) -> dict[str, Any]
     whole = {"tag", "contacts", "counts", "block_angles"}
     if "block_looked" in saved and saved["block_looked"].dtype.kind == "i":  # older files also have floats
         whole.add("block_looked")
-    if h5.attrs["schema"] == 2:
+    if marked(h5)[1] == 2:
         saved["height"] = saved["numbers"][:1]
     check_arrays("checkpoint", {**shapes, **CHECKPOINT}, saved, {"block_scatter"}, whole)
     return saved

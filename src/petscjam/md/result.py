@@ -16,7 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, shown
-from petscjam.base.files import check_output, check_shapes, check_type, group, h5_format, open_h5, write_atomically
+from petscjam.base.files import (
+    check_output,
+    check_shapes,
+    check_type,
+    group,
+    h5_format,
+    marked,
+    open_h5,
+    write_atomically,
+)
 from petscjam.base.types import Array
 from petscjam.md.observables import BLOCKS, ROWS, AbsentError, Block, Observed, Row
 from petscjam.md.settings import Settings
@@ -277,8 +286,9 @@ def write_run(h5: h5py.Group, run: Run) -> None:
 
 def read_run(h5: h5py.Group) -> Run:
     """Return the run of an open HDF5 file, with the observables that it has."""
-    if h5.attrs.get("format") != FORMAT or h5.attrs.get("schema") not in range(1, SCHEMA + 1):
-        raise InputError(f"holds {shown(h5.attrs.get('format'))}, not a run with a schema up to {SCHEMA}")
+    kind, schema = marked(h5)
+    if kind != FORMAT or schema is None or schema not in range(1, SCHEMA + 1):
+        raise InputError(f"holds {shown(kind)}, not a run with a schema up to {SCHEMA}")
     settings = Settings.from_attributes(h5["settings"].attrs)
     rows, blocks = _arrays(h5["rows"], ROWS), _arrays(h5["blocks"], BLOCKS)
     for name in ("time", "strain", "rate"):
@@ -290,7 +300,7 @@ def read_run(h5: h5py.Group) -> Run:
     check_arrays("blocks", {name: f"B {BLOCKS[name].shape}" for name in blocks if name in BLOCKS}, blocks, {"scatter"})
     node, numbers = h5["state"], dict(h5["state"].attrs)
     arrays = {key: node[key][()] for key in ARRAYS if key != "angles" or key in node}
-    if h5.attrs["schema"] < 3:
+    if schema < 3:
         numbers["height"] = numbers["length"]
     state = State(**arrays, **{key: numbers[key] for key in CELL}, potential_name=settings.model.potential.name)
     return Run(settings, rows, blocks, state)

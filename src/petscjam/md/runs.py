@@ -15,7 +15,7 @@ import numpy as np
 from petscjam.base import ranges
 from petscjam.base.compiled import build, use_threads
 from petscjam.base.errors import DoubtfulWarning, InputError
-from petscjam.base.files import check_output, naming, open_h5
+from petscjam.base.files import check_output, marked, naming, open_h5
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_ROWS, MOST_STEPS
@@ -325,7 +325,7 @@ class _Earlier(NamedTuple):
 def _earlier(output: str | PathLike[str], engine: type[Engine]) -> _Earlier:
     """Return the run of a file."""
     with open_h5(output) as h5:
-        if h5.attrs.get("schema") == 1:
+        if marked(h5)[1] == 1:
             raise InputError("was made by an older petscjam; it cannot be resumed, but it can be a start")
         run = read_run(h5)
         shapes = {name: axes for name, axes in engine.CHECKPOINT.items() if name != "angles" or run.settings.angles}
