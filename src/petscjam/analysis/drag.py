@@ -74,7 +74,7 @@ class NonlinearModulus(Judged):
     values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
     stress: float = field(metadata=stored("stress", finite=True))
     alpha: float = field(metadata=stored(finite=True))
-    form: str
+    form: str = field(metadata=stored(words=("uniform", "per contact")))
     tau: Array = field(metadata=stored("tau1", "W"))
     spread: Array = field(metadata=stored(axes="W"))
     iterations: NDArray[np.int64] = field(metadata=stored(axes="W"))

@@ -312,6 +312,8 @@ def _check(where: str, kind: type[Result], values: Mapping[str, Any]) -> None:
         check_type(f"{where}: {item.name}", value, str(item.type))
         if item.metadata.get("finite") and value is not None and not np.isfinite(value).all():
             raise InputError(f"{where}: {item.name} is not finite")
+        if (words := item.metadata.get("words")) and value not in words:
+            raise InputError(f"{where}: {item.name} is {shown(value)}, not one of {', '.join(words)}")
     axes = {item.name: item.metadata.get("axes") for item in fields(kind)}
     check_shapes(where, {name: text for name, text in axes.items() if text}, values)
 

@@ -46,7 +46,7 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     return omega
 
 
-def stored(unit: str = "", axes: str = "", *, finite: bool = False) -> dict[str, Any]:
+def stored(unit: str = "", axes: str = "", *, finite: bool = False, words: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return the metadata of a field of a result: its unit in the file, and the checks on reading.
 
     Parameters
@@ -57,8 +57,10 @@ def stored(unit: str = "", axes: str = "", *, finite: bool = False) -> dict[str,
         As ``"W 2"`` (:func:`petscjam.base.files.check_shapes`). Default: not checked.
     finite : bool
         Whether NaN and infinity are refused.
+    words : tuple of str
+        The values of a text. Default: any.
     """
-    return {"unit": unit, "axes": axes, "finite": finite}
+    return {"unit": unit, "axes": axes, "finite": finite, "words": words}
 
 
 @dataclass(frozen=True)
