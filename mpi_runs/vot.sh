@@ -14,9 +14,12 @@ shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-4 --strain
 shear shear --model CD_rot --particles 1024 --phi 0.76,0.82 --rate 1e-5 --strain 2 -o "$out/CD_rot"
 # the Newtonian band at P = 2e-5
 shear shear --model CD_rot --particles 1024 --phi 0.809 --rate 4.2e-6 --strain 1.5 -o "$out/newtonian.h5"
-# shear bands from a Bagnoldian start: CD_n is Bagnoldian at every φ
-shear shear --model CD_n --particles 16384 --phi 0.7984 --rate 3e-5 --strain 0.4 -o "$out/bagnold.h5"
-shear shear --model CD_rot --start "$out/bagnold.h5" --rate 3e-5 --strain 6 -o "$out/bands.h5"
+# shear bands, from a Newtonian state that is divided into two phases (VOT fig. 28)
+newton="--model CD_rot --particles 16384 --phi 0.7984 --integrator single --rate 3e-4 --strain 0.5"
+bands="--model CD_rot --integrator single --rate 3e-5 --strain 4 --row-time 80"
+shear shear $newton -o "$out/newton.h5"
+shear shear $bands --start "$out/newton.h5" --start-bands 0.7880:6.2e-5,0.8090:4.2e-6 -o "$out/bands.h5"
+petscjam info "$out/bands.h5"
 # a ramp across the coexistence region
 shear ramp --model CD_rot --particles 4096 --phi 0.802 --rate 3e-6 --to 1e-4 --kappa 1e-5 -o "$out/ramp.h5"
 

@@ -11,7 +11,7 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.geometry.neighbours import CHUNK
 from petscjam.geometry.potential import POTENTIALS, power_law
 from petscjam.md import kernels
-from petscjam.md.engine import TICKS
+from petscjam.md.engine import LAYERED, TICKS
 from petscjam.md.model import INTEGRATORS, MODELS, Model, stable_step
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State, random_state
@@ -620,7 +620,7 @@ def test_a_sample_of_disks_and_contacts():
     simulation = Simulation(disks(10, 40), Model(MODELS["CD_rot"], 1.0), 0.01)
     advance(simulation, 7)
     simulation.collect()
-    layers, moments, scatter = np.zeros((3, 4)), np.zeros((5, 4)), np.zeros(4)
+    layers, moments, scatter = np.zeros((LAYERED, 4)), np.zeros((5, 4)), np.zeros(4)
     sums = simulation.sample(layers, moments, scatter)
     state, rows = simulation.state, []
     for i, j, r, v in twin.touching(state):
@@ -638,6 +638,16 @@ def test_a_sample_of_disks_and_contacts():
     layer = (inside.positions[:, 1] / state.height * 4).astype(int)
     for k, weight in enumerate((np.ones(40), inside.velocities[:, 0], np.pi * state.radii**2)):
         assert layers[k] == pytest.approx(np.bincount(layer, weight, 4))
+    stress = np.zeros((3, 4))
+    for contact in twin.contacts(state, simulation.model):
+        flow = np.outer(contact.elastic + contact.dissipative, contact.r)
+        for disk in (contact.i, contact.j):
+            stress[:, layer[disk]] += flow[0, 0] / 2, flow[0, 1] / 2, flow[1, 1] / 2
+    for disk, (x, y) in enumerate(c):
+        stress[:, layer[disk]] += x * x, x * y, y * y
+    assert layers[3:] == pytest.approx(stress)
+    total = sum(twin.pressure_tensor(state, simulation.model)) * state.length * state.height
+    assert stress.sum(1) == pytest.approx(total[[0, 0, 1], [0, 1, 1]])
 
 
 @EACH

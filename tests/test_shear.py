@@ -22,7 +22,7 @@ from petscjam.md.model import Model
 from petscjam.md.result import blocked_error, export_csv, read_folder
 from petscjam.md.runs import run
 from petscjam.md.simulation import Simulation
-from petscjam.md.starts import _along_x, first_state, given_state, rescaled
+from petscjam.md.starts import _along_x, first_state, given_state, rescaled, two_phases
 from petscjam.md.state import State, random_state
 from petscjam.plots.shear import plot_flow, plot_run
 from petscjam.plots.tables import describe_run
@@ -295,6 +295,16 @@ BAD = [
     ("--mass 0", "0"),
     ("--mass -1", "-1"),
     ("--mass 1e-6 --dt 0.01", "mass of 1e-06"),
+    ("--start-bands 0.79", "0.79"),
+    ("--start-bands 0.79:1e-4", "not 1"),
+    ("--start-bands 0.79:nan,0.85:1e-5", "nan"),
+    ("--start-bands 1.79:2e-4,0.85:1e-5", "1.79"),
+    ("--start-bands 0.83:2e-4,0.85:1e-5 --phi 0.82", "0.82"),
+    ("--start-bands 0.83:2e-4,0.79:1e-5 --phi 0.82", "0.83"),
+    ("--start-bands 0.79:8e-5,0.85:1e-5 --phi 0.82 --rate 1e-4", "8e-05"),
+    ("--start-bands 0.79:2e-4,0.85:-1e-5 --phi 0.82 --rate 1e-4", "-1e-05"),
+    ("--start-bands 0.79:2.4e-4,0.85:1e-5 --phi 0.82 --rate 1e-4", "0.000125"),
+    ("--start-bands 0.79:2e-4,0.85:1e-5 --phi 0.82 --rate 1e-4 --bulk boundary --then 1e-3:1", "boundary"),
 ]
 
 
@@ -408,6 +418,77 @@ def test_a_start_keeps_its_potential(tmp_path, alpha, relative):
     assert other.settings.model.potential.name == power_law(2.2, relative).name
     with pytest.raises(InputError, match=r"potential = .*cannot be resumed"):
         pj.md.shear("CD", rate=1e-3, strain=2e-3, exponent=2.2, output=tmp_path / "b.h5", resume=True)
+
+
+BANDS = (0.788, 6.2e-3), (0.809, 4e-4)
+
+
+@pytest.mark.parametrize("strain", [0.0, 0.3])
+def test_a_start_of_two_phases(strain):
+    """Shares of the height and of the disks, mean velocity, peculiar velocities and spins of both bands."""
+    rate, share = 3e-3, (0.809 - 0.7984) / (0.809 - 0.788)
+    square = random_state(20_000, 0.7984, 3)
+    x, y = square.positions.T * [[1.25], [0.8]]
+    L, height = 1.25 * square.length, 0.8 * square.length
+    state = replace(square, positions=np.column_stack([x, y]), length=L, height=height)
+    c = np.random.default_rng(2).normal(size=(20_000, 3))
+    v = 1e-3 * c[:, :2] + rate * np.outer(state.positions[:, 1], [1, 0])
+    state = replace(state, velocities=v, spins=c[:, 2], rate=rate, strain=strain)
+    made = two_phases(state, BANDS)
+    x, y = made.positions.T
+    lower = y < share * height
+    area = np.pi * state.radii**2
+    error = 0.8 * (2 / 20_000) ** 0.5  # of random positions
+    assert area[lower].sum() / (share * L * height) == pytest.approx(0.788, abs=4 * error)
+    assert area[~lower].sum() / ((1 - share) * L * height) == pytest.approx(0.809, abs=4 * error)
+    assert np.array_equal(x, state.positions[:, 0])
+    assert np.array_equal(np.argsort(y), np.argsort(state.positions[:, 1]))
+
+    fast, slow = np.array([6.2e-3, 4e-4]) * rate / (share * 6.2e-3 + (1 - share) * 4e-4)
+    assert share * fast + (1 - share) * slow == pytest.approx(rate)
+    mean = np.where(lower, fast * y, rate * height - slow * (height - y))
+    mean -= (mean - rate * y).mean()
+    ratio = np.where(lower, fast, slow) / rate
+    assert made.velocities[:, 0] == pytest.approx(mean + 1e-3 * ratio * c[:, 0])
+    assert made.velocities[:, 1] == pytest.approx(1e-3 * ratio * c[:, 1])
+    assert made.spins == pytest.approx(ratio * c[:, 2])
+    assert (made.phi, made.rate, made.strain) == (state.phi, rate, strain)
+
+
+def test_a_start_of_two_phases_does_not_depend_on_the_image():
+    state = replace(random_state(100, 0.7984, 3), rate=3e-3, strain=0.3)
+    rows = np.arange(100) % 3 - 1
+    shift = state.length * np.column_stack([rows * 0.3, rows])
+    v = state.rate * shift[:, 1:] * [1, 0]
+    other = replace(state, positions=state.positions + shift, velocities=state.velocities + v)
+    a, b = (two_phases(some, BANDS) for some in (state, other))
+    assert a.velocities == pytest.approx(b.velocities, abs=1e-15)
+    assert a.positions == pytest.approx(b.positions, abs=1e-12)
+
+
+def test_a_run_starts_with_bands_and_restarts(tmp_path):
+    """Its energy budget contains the first overlaps; a restart is bit for bit; other bands are refused."""
+    given = {"n": 1024, "phi": 0.7984, "rate": 3e-3, "start_bands": BANDS, "integrator": "single", "row_time": 5.0}
+    whole = pj.md.shear(**given, strain=0.3)
+    assert whole.settings.start == "random; bands of φ = 0.788 at γ̇ = 0.0062, φ = 0.809 at γ̇ = 0.0004"
+    assert whole.settings.seed == 1
+    assert whole.missed < 0.01
+    assert whole.rows["energy"].max() < 0.01 * 1024  # overlaps of 2 % have an energy of 2e-4 a contact
+    vx, disks = (whole.blocks[name][0] for name in ("layer_vx", "layer_disks"))
+    u = vx / disks
+    lower = np.diff(u)[2:14].mean()
+    assert lower > 2 * np.diff(u)[20:-2].mean() > 0
+
+    pj.md.shear(**given, strain=0.15, output=tmp_path / "run.h5")
+    again = pj.md.shear(**given, strain=0.3, output=tmp_path / "run.h5", resume=True)
+    assert np.array_equal(again.state.positions, whole.state.positions)
+    assert np.array_equal(again.blocks["layer_stress"], whole.blocks["layer_stress"])
+    with pytest.raises(InputError, match=r"start = random; bands .*cannot be resumed"):
+        other = given | {"start_bands": ((0.788, 6e-3), BANDS[1])}
+        pj.md.shear(**other, strain=0.4, output=tmp_path / "run.h5", resume=True)
+    from_run = pj.md.shear(rate=3e-3, strain=3e-3, dt=0.01, start=whole, start_bands=BANDS)
+    assert "from random; bands of φ = 0.788" in from_run.settings.start
+    assert from_run.settings.start.endswith("φ = 0.809 at γ̇ = 0.0004")
 
 
 def test_a_resumed_run_keeps_its_start(tmp_path):

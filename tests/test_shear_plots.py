@@ -10,17 +10,23 @@ from matplotlib.figure import Figure
 
 import petscjam as pj
 from petscjam.base.errors import InputError
+from petscjam.md import NoBandsError, bands
+from petscjam.md.banding import Shape
 from petscjam.md.engine import BINS
-from petscjam.md.fields import _overlap, bands, local_maps, profile
+from petscjam.md.fields import _overlap, local_maps, profile
 from petscjam.md.frames import write_frame
 from petscjam.md.observables import ROWS
 from petscjam.md.result import Run
 from petscjam.md.settings import Settings
 from petscjam.md.state import State, random_state
 from petscjam.plots import shear
+from petscjam.plots.tables import describe_run
 
 RATE, LENGTH, LAYERS, BLOCKS = 3e-5, 60.0, 60, 12
-FAST, SLOW, SHARE, CENTRE = 6.2e-5, 4.2e-6, 0.446366782, 51.0  # share × fast + (1 − share) × slow = RATE
+FAST, SLOW = 6.2e-5, 4.2e-6
+SHARE = (RATE - SLOW) / (FAST - SLOW)
+STRESS = np.array([[2.1e-5], [-7e-6], [2e-5]])  # P_xx, P_xy, P_yy
+DILUTE, DENSE, MIDDLE, WIDTH = 0.788, 0.809, 0.85, 0.06  # the last two in units of the height
 
 
 def flowing(n=400, phi=0.8, seed=0, gradient=((0.0, 0.0), (0.0, 0.0)), strain=0.0, rate=RATE):
@@ -40,17 +46,15 @@ def with_image(state, images):
     return replace(state, positions=x, velocities=v)
 
 
-def two_slopes(y, length=LENGTH, mean=RATE, fast=FAST, slow=SLOW, centre=CENTRE):
-    """vx of two bands, by summing up strain rates; and the share of the fast one."""
-    share = (mean - slow) / (fast - slow)
-    fine = np.linspace(0, length, 60001)
-    middle = (fine[1:] + fine[:-1]) / 2
-    away = np.abs((middle - centre + length / 2) % length - length / 2)
-    rate = np.where(away < share * length / 2, fast, slow)
-    return np.interp(y, fine, np.concatenate([[0], np.cumsum(rate * np.diff(fine))])), share
+def two_bands(middle=MIDDLE, share=SHARE, width=WIDTH, fast=FAST, slow=SLOW):
+    """vx, φ and the mean strain rate of two bands with interfaces; a middle for each block if they move."""
+    s, mean = (np.arange(LAYERS) + 0.5) / LAYERS, share * fast + (1 - share) * slow
+    shapes = [Shape(float(at), share, width) for at in np.broadcast_to(middle, BLOCKS)]
+    vx = np.array([mean * s + (fast - slow) * shape.velocity(s) for shape in shapes]) * LENGTH
+    return vx, np.array([DENSE + (DILUTE - DENSE) * shape.weight(s) for shape in shapes]), mean
 
 
-def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=RATE, rng=None, **settings):
+def synthetic_run(vx=None, density=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=RATE, **settings):
     """A run that nobody computed, with numbers of the usual size."""
     rng = np.random.default_rng(seed)
     strain = np.linspace(0, 10, rows + 1)[1:]
@@ -82,6 +86,7 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
     data["imbalance"] = 1e-10 * rng.normal(size=rows)
     y = (np.arange(LAYERS) + 0.5) * LENGTH / LAYERS
     vx = RATE * y if vx is None else vx
+    density = 0.8 + 0.01 * np.cos(6.28 * y / LENGTH) if density is None else density
     shape, samples = (BLOCKS, LAYERS), np.full(BLOCKS, 50)
     disks = rng.integers(1000, 1500, shape).astype(float)
     angle = (np.arange(BINS) + 0.5) * 3.6 - 180
@@ -97,7 +102,8 @@ def synthetic_run(vx=None, noise=0.0, protocol="steady", seed=0, rows=200, rate=
         "breaking": rng.poisson(3000 * glancing * (np.abs(angle) < 90), (BLOCKS, BINS)),
         "layer_disks": disks,
         "layer_vx": disks * (vx + noise * rng.normal(size=shape)),
-        "layer_area": 50 * LENGTH * (0.8 + 0.01 * np.cos(6.28 * y / LENGTH) + 0.003 * rng.normal(size=shape)),
+        "layer_area": 50 * LENGTH * (density + 0.003 * rng.normal(size=shape)),
+        "layer_stress": 50 * LENGTH * STRESS * (1 + 0.03 * rng.normal(size=(BLOCKS, 3, LAYERS))),
         "pairs": np.full(BLOCKS, 500),
         "first": scatter.sum(1),
         "second": np.einsum("bsi,bsj->bij", scatter, scatter),
@@ -266,44 +272,98 @@ def test_an_empty_layer_is_named():
         profile(replace(run, blocks={**run.blocks, "layer_disks": disks}))
 
 
-@given(st.floats(0, LENGTH), st.floats(0.1, 0.9), st.booleans())
-def test_two_bands_are_found_where_they_are(centre, share, backwards):
+def in_the_middles(share=SHARE, width=WIDTH, fast=FAST, slow=SLOW):
+    """γ̇, φ and their lever rule in the middles of two bands."""
+    weight = Shape(0.0, share, width).weight(np.array([0.0, 0.5]))
+    lever = (share - weight[1]) / (weight[0] - weight[1])
+    return slow + (fast - slow) * weight, DENSE + (DILUTE - DENSE) * weight, np.array([lever, 1 - lever])
+
+
+@pytest.mark.parametrize(
+    ("middle", "share", "width", "sign"), [(0.0, 0.3, 0.02, 1), (0.31, 0.5, 0.1, -1), (0.5, 0.7, 0.05, 1)]
+)
+def test_two_bands_are_found_where_they_are(middle, share, width, sign):
+    vx, phi, mean = two_bands(middle, share, width)
+    run = synthetic_run(sign * vx, phi, rate=sign * mean)
+    b = bands(run)
+    rates, phis, shares = in_the_middles(share, width)
+    assert b.rate == pytest.approx(sign * rates, rel=1e-2)
+    assert b.share == pytest.approx(shares, abs=2e-3)
+    assert b.width == pytest.approx(width * LENGTH, rel=2e-2, abs=0.1)
+    assert b.phi == pytest.approx(phis, abs=2e-3)
+    assert b.rate @ b.share == pytest.approx(sign * mean)
+    assert b.phi @ b.share_phi == pytest.approx(profile(run).phi.mean())
+    assert np.abs((b.middles / LENGTH - middle + 0.5) % 1 - 0.5) == pytest.approx(np.zeros(len(b.middles)), abs=2e-3)
+    assert b.skill > 0.99
+    assert b.profile.vx == pytest.approx(b.fitted[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.02])
+def test_the_errors_of_bands_are_those_of_repeated_runs(drift):
+    """The deviations from the numbers put in, in standard errors, have mean 0 and variance 1; also with a drift."""
+    vx, phi, _ = two_bands(MIDDLE + drift * np.arange(BLOCKS))
+    rates, phis, shares = in_the_middles()
+    pulls = []
+    for seed in range(40):
+        b = bands(synthetic_run(vx, phi, noise=3e-5, seed=seed), after=0)
+        e = b.errors
+        moved = (b.middles[-1] - b.middles[0]) % LENGTH
+        assert moved == pytest.approx(11 * drift * LENGTH, abs=1.0) or moved > LENGTH - 1
+        pulls.append(
+            np.concatenate(
+                [
+                    (b.rate - rates) / e.rate,
+                    (b.phi - phis) / e.phi,
+                    (b.share - shares)[:1] / e.share[:1],
+                    (b.share_phi - shares)[:1] / e.share_phi[:1],
+                    ((b.stresses - [2.1e-5, 7e-6, 2e-5]) / e.stresses).ravel(),
+                    [(b.width - WIDTH * LENGTH) / e.width],
+                ]
+            )
+        )
+    assert np.abs(np.mean(pulls, axis=0)).max() < 0.6  # of 13 means of 40, each ± 0.17
+    assert np.std(pulls, axis=0) == pytest.approx(np.full(13, 1.1), abs=0.35)  # errors from 12 blocks, ± 0.13
+
+
+def test_homogeneous_flow_has_no_bands():
+    """Neither noise, nor a random walk of vx in y, nor density waves are bands."""
+    rng = np.random.default_rng(1)
+    for noise in (3e-6, 3e-4):
+        with pytest.raises(NoBandsError, match="homogeneous"):
+            bands(synthetic_run(noise=noise))
+    walk = rng.normal(size=(BLOCKS, LAYERS))
+    walk = np.cumsum(walk - walk.mean(1, keepdims=True), axis=1)
     y = (np.arange(LAYERS) + 0.5) * LENGTH / LAYERS
-    slow, fast = 4e-6, 6e-5
-    mean = share * fast + (1 - share) * slow
-    sign = -1 if backwards else 1
-    run = synthetic_run(sign * two_slopes(y, mean=mean, fast=fast, slow=slow, centre=centre)[0], rate=sign * mean)
-    b = bands(profile(run))
-    assert b.rates == pytest.approx((sign * fast, sign * slow), rel=1e-3)
-    assert b.shares == pytest.approx((share, 1 - share), abs=1e-3)
-    assert np.abs((b.centres[0] - centre + LENGTH / 2) % LENGTH - LENGTH / 2) < 0.05
-    assert np.abs((b.centres[1] - centre) % LENGTH - LENGTH / 2) < 0.05
-    assert b.two < 1e-3 * b.one
+    with pytest.raises(NoBandsError, match="homogeneous"):
+        bands(synthetic_run(RATE * y + 1e-4 * walk))
+    vx, phi, mean = two_bands(fast=3.5e-5, slow=2.5e-5, share=0.5)
+    with pytest.raises(NoBandsError, match="by strain rate"):
+        bands(synthetic_run(vx, phi, rate=mean))
+    vx, phi, mean = two_bands()
+    with pytest.raises(NoBandsError, match="by φ"):
+        bands(synthetic_run(vx, phi * 0 + 0.8))
 
 
-def test_two_bands_are_found_in_noise():
-    y = (np.arange(LAYERS) + 0.5) * LENGTH / LAYERS
-    vx, share = two_slopes(y)
-    p = profile(synthetic_run(vx, noise=3e-5))
-    b = bands(p)
-    assert b.rates == pytest.approx((FAST, SLOW), abs=2e-6)
-    assert b.shares[0] == pytest.approx(share, abs=0.02)
-    assert np.dot(b.rates, b.shares) == pytest.approx(RATE, rel=1e-9)
-    assert b.two == pytest.approx(3e-5 / 10**0.5, rel=0.3)
-    assert b.one > 20 * b.two
-    assert p.vx - b.vx == pytest.approx(np.zeros(LAYERS), abs=5e-5)
+def test_runs_without_bands_to_look_for_are_refused():
+    vx, phi, _ = two_bands()
+    run = synthetic_run(vx, phi)
+    with pytest.raises(NoBandsError, match="60 layers and 3 blocks"):
+        bands(run, after=8)
+    few = {name: run.blocks[name][..., :6] for name in ("layer_disks", "layer_vx", "layer_area", "layer_stress")}
+    with pytest.raises(NoBandsError, match="6 layers and 9 blocks"):
+        bands(replace(run, blocks={**run.blocks, **few}))
+    with pytest.raises(NoBandsError, match="changes"):
+        bands(synthetic_run(vx, phi, rate=np.linspace(1e-5, 3e-5, 200)))
 
 
-def test_uniform_shear_is_no_bands():
-    b = bands(profile(synthetic_run(noise=3e-5)))
-    assert b.two > b.one / 2
-
-
-def test_a_coarse_profile_is_refused():
-    p = profile(synthetic_run())
-    few = {key: getattr(p, key)[:6] for key in ("y", "vx", "rate", "phi")}
-    with pytest.raises(InputError, match="6 layers is too coarse"):
-        bands(replace(p, **few))
+def test_bands_of_older_runs_have_no_stresses():
+    vx, phi, _ = two_bands()
+    run = synthetic_run(vx, phi)
+    older = replace(run, blocks={name: values for name, values in run.blocks.items() if name != "layer_stress"})
+    new, old = bands(run), bands(older)
+    assert np.isnan(old.stresses).all()
+    assert (old.rate == new.rate).all()
+    assert ("P_yy" in describe_run(run), "P_yy" in describe_run(older)) == (True, False)
 
 
 # --- frames -------------------------------------------------------------------------------------------
@@ -373,8 +433,8 @@ def texts(figure):
 
 
 def banded_run():
-    y = (np.arange(LAYERS) + 0.5) * LENGTH / LAYERS
-    return synthetic_run(two_slopes(y)[0], noise=2e-5)
+    vx, phi, _ = two_bands()
+    return synthetic_run(vx, phi, noise=2e-5)
 
 
 def test_the_figures_are_written(tmp_path):
@@ -389,6 +449,8 @@ def test_the_sheet_of_a_banded_run_says_so(drawn):
     shear.plot_run(synthetic_run(noise=2e-5), None)
     assert any("two bands:" in t for t in texts(drawn[0]))
     assert not any("two bands:" in t for t in texts(drawn[1]))
+    assert "two bands:" in describe_run(banded_run())
+    assert "two bands:" not in describe_run(synthetic_run(noise=2e-5))
 
 
 def test_the_angles_are_a_density(drawn):

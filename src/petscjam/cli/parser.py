@@ -347,6 +347,11 @@ def disks(p: Parser) -> None:
     p.add_argument("--start", type=path, nargs="+", metavar="FILE", default=[], help=text)
     text = "change cell and positions of --start to --phi; radii and peculiar velocities stay"
     p.add_argument("--rescale", action="store_true", help=text)
+    text = (
+        "make two shear bands of the start, the Bagnoldian one below: packing fraction and strain rate (1/tau_e) of "
+        "each; they must average to --phi and, within 20 percent, to --rate"
+    )
+    p.add_argument("--start-bands", type=pairs, metavar="PHI_B:RATE_B,PHI_N:RATE_N", help=text)
     text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"
     p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
     text = (

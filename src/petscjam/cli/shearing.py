@@ -69,7 +69,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     from petscjam.md.runs import run
     from petscjam.plots.tables import describe_run
 
-    names = "rescale integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
+    names = "rescale start_bands integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
     common = {name: getattr(options, name) for name in names.split()}
     alone = options.start[0] if len(options.start) == 1 else None
 

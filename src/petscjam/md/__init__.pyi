@@ -1,3 +1,6 @@
+from .banding import Bands as Bands
+from .banding import NoBandsError as NoBandsError
+from .banding import bands as bands
 from .oscillations import harmonics as harmonics
 from .result import Run as Run
 from .result import read as read

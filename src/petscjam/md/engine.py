@@ -23,6 +23,10 @@ SUMS = 14
 SAMPLED = 7
 (SPIN, SPIN2, DVX2, VY2, NORMAL2, TANGENTIAL2, CONTACTS) = range(SAMPLED)
 
+# Sums by layer in y: disks, vx, area, and the volume times P_xx, P_xy and P_yy, of contacts (half at each disk) and
+# of peculiar velocities.
+LAYERED = 6
+
 
 class Totals(NamedTuple):
     """Sums over time steps.
@@ -112,8 +116,8 @@ class Engine(Protocol):
 
         Parameters
         ----------
-        layers : (3, M)
-            Number of disks, sum of vx and area of disks, by layer in y; is increased.
+        layers : (LAYERED, M)
+            Sums over disks and contacts by layer in y; is increased.
         moments : (5, 4)
             Sums of V_T, V^R, V^C_T, V_N (VOT eqs. 31–34, in ds γ̇) over contacts, and of their products; is
             increased.

@@ -1,11 +1,12 @@
-"""Density and strain rate in space: local maps, profiles across the flow, and shear bands.
+"""Density and strain rate in space: local maps, and profiles across the flow.
 
-Axes: i disk, c pair, b block, m layer in y.
+Axes: i disk, c pair, k block, m layer in y.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from petscjam.md.result import Run
 from petscjam.md.state import State
 
 RADIUS = 4.0  # ds, VOT sec. III C 2
-FEWEST = 8  # layers, to find two bands
 
 
 def local_maps(state: State, radius: float = RADIUS) -> tuple[Array, Array]:
@@ -125,11 +125,64 @@ def blocks_after(run: Run, strain: float | None = None) -> NDArray[np.bool_]:
     return run.after(strain)[last]
 
 
-def profile(run: Run, after: float | None = None) -> Profile:
-    """Return the profiles of a run, averaged over the blocks that end after a strain.
+class Layers(NamedTuple):
+    """Sums over layers in y, of each block (K), or of some of them.
 
-    The strain rate of a layer comes from the velocities of its two neighbours. Errors are jackknife errors over
-    blocks.
+    Attributes
+    ----------
+    samples : (K, 1)
+        Times.
+    disks, vx, area : (K, M)
+        Disks, sum of vx in ds/τe, sum of their area in ds².
+    stress : (K, 3, M)
+        Sums of P_xx, P_xy, P_yy times the volume, in m ds²/τe²; NaN if they were not recorded.
+    """
+
+    samples: Array
+    disks: Array
+    vx: Array
+    area: Array
+    stress: Array
+
+    @property
+    def each(self) -> list[Layers]:
+        """The sums of each block."""
+        return [Layers(*some) for some in zip(*self, strict=True)]
+
+    @property
+    def total(self) -> Layers:
+        """The sums over all blocks."""
+        return Layers(*(x.sum(0) for x in self))
+
+    @property
+    def without(self) -> Layers:
+        """The sums over all blocks but one, which is each in turn."""
+        return Layers(*(x.sum(0) - x for x in self))
+
+    def moved(self, y: Array, rise: float) -> Layers:
+        """Return the sums of blocks that are moved until the layers at ``y`` are in the middle of the cell.
+
+        Parameters
+        ----------
+        y : (K,)
+            In units of the height.
+        rise : float
+            Increase γ̇Ly of vx from one image to the next.
+        """
+        M = self.disks.shape[-1]
+        at = (np.arange(M) + np.rint(y * M - M / 2).astype(int)[:, None]) % M
+        affine = rise * (np.arange(M) + 0.5) / M
+
+        def taken(x: Array) -> Array:
+            return np.take_along_axis(x, at, 1)
+
+        disks, excess = taken(self.disks), taken(self.vx - affine * self.disks)
+        stress = np.take_along_axis(self.stress, at[:, None], 2)
+        return Layers(self.samples, disks, excess + affine * disks, taken(self.area), stress)
+
+
+def layers(run: Run, after: float | None = None) -> Layers:
+    """Return the sums over layers of the blocks that end after a strain.
 
     Parameters
     ----------
@@ -150,110 +203,45 @@ def profile(run: Run, after: float | None = None) -> Profile:
     )
     if not disks.sum(0).all():
         raise InputError(f"profile: layer {int(np.argmin(disks.sum(0)))} contains no disk")
-    state, layers = run.state, disks.shape[1]
-    thickness = state.height / layers
-    rate = float(run.rate[run.after(after)].mean())
-
-    def means(samples: Array, disks: Array, vx: Array, area: Array) -> Array:
-        """Return vx, dvx/dy and φ, (3, …, M)."""
-        v = vx / np.where(disks > 0, disks, np.nan)
-        rise = np.roll(v, -1, axis=-1) - np.roll(v, 1, axis=-1)
-        rise[..., [0, -1]] += rate * state.height
-        return np.stack([v, rise / (2 * thickness), area / (samples[..., None] * state.length * thickness)])
-
-    sums = (samples, disks, vx, area)
-    values = means(*(x.sum(0) for x in sums))
-    if (count := int(kept.sum())) > 1:
-        without = means(*(x.sum(0) - x for x in sums))  # each block in turn
-        errors = np.sqrt((count - 1) * without.var(axis=1))
-    else:
-        errors = np.full_like(values, np.nan)
-    y = (np.arange(layers) + 0.5) * thickness
-    (v, slope, phi), (v_error, slope_error, phi_error) = values, errors
-    return Profile(y, v, slope, phi, v_error, slope_error, phi_error, state.height, rate, state.phi)
+    unknown = np.full((len(run.blocks["strain"]), 3, disks.shape[1]), np.nan)
+    return Layers(samples[:, None], disks, vx, area, run.blocks.get("layer_stress", unknown)[kept])
 
 
-@dataclass(frozen=True, eq=False)
-class Bands:
-    """Two bands of uniform strain rate, the faster one first.
+def profile(run: Run, after: float | None = None, moved: Array | None = None) -> Profile:
+    """Return the profiles of a run, averaged over the blocks that end after a strain.
 
-    Attributes
+    The strain rate of a layer comes from the velocities of its two neighbours. Errors are jackknife errors over
+    blocks.
+
+    Parameters
     ----------
-    rates : (float, float)
-        Strain rate of each, in 1/τe.
-    shares : (float, float)
-        Share of the cell; Σ share × rate is the mean rate.
-    centres : (float, float)
-        y of the middle of each, in ds.
-    vx : (M,)
-        Velocities of the fit at the layers of the profile, in ds/τe.
-    one, two : float
-        Rms deviation of the profile from one slope and from these two, in ds/τe. Two slopes always fit better
-        than one, also for noise: there are bands only if ``two`` is much smaller than ``one``, and ``one`` much
-        larger than the errors of the profile.
-    """
-
-    rates: tuple[float, float]
-    shares: tuple[float, float]
-    centres: tuple[float, float]
-    vx: Array
-    one: float
-    two: float
-
-
-def bands(profile: Profile) -> Bands:
-    """Fit vx(y) with least squares by a continuous line of two slopes, periodic up to the mean shear.
+    run : Run
+    after : float
+        Strain to leave out at the start; default: a quarter of the run.
+    moved : (K,)
+        y/Ly of the point of each block that is moved to the middle of the cell; default: blocks are not moved.
 
     Raises
     ------
     InputError
-        If the profile has fewer than eight layers.
+        If no block is left, or a layer never contains a disk.
     """
-    from scipy.optimize import minimize
+    sums, state, rate = layers(run, after), run.state, float(run.rate[run.after(after)].mean())
+    if moved is not None:
+        sums = sums.moved(moved, rate * state.height)
+    count, M = sums.disks.shape
+    thickness = state.height / M
 
-    s, L, layers = profile.y / profile.length, profile.length, len(profile.y)
-    if layers < FEWEST:
-        raise InputError(f"bands: a profile of {layers} layers is too coarse; at least {FEWEST} are needed")
-    u = profile.vx - profile.mean_rate * profile.y
-    u = u - u.mean()
+    def means(some: Layers) -> Array:
+        """Return vx, dvx/dy and φ, (3, …, M)."""
+        v = some.vx / np.where(some.disks > 0, some.disks, np.nan)
+        rise = np.roll(v, -1, axis=-1) - np.roll(v, 1, axis=-1)
+        rise[..., [0, -1]] += rate * state.height
+        return np.stack([v, rise / (2 * thickness), some.area / (some.samples * state.length * thickness)])
 
-    def fit(start: Array, share: Array) -> tuple[Array, Array]:
-        """Return the best fit to u, (…, M), and the difference of its slopes times L, (…, 1)."""
-        z = _zigzag(s, start, share)
-        z = z - z.mean(-1, keepdims=True)
-        rise = (z @ u)[..., None] / (z**2).sum(-1, keepdims=True)
-        return rise * z, rise
-
-    thinnest, grid = 2 / layers, min(layers, 64)
-    starts, shares = np.arange(grid) / grid, np.linspace(thinnest, 1 - thinnest, grid)
-    coarse = ((u - fit(starts[:, None, None], shares[:, None])[0]) ** 2).sum(-1)
-    a, b = np.unravel_index(np.argmin(coarse), coarse.shape)
-    simplex = np.array([starts[a], shares[b]]) + np.array([[0, 0], [1, 0], [0, 1]]) / grid
-    scale = float(u @ u) or 1.0
-    best = minimize(
-        lambda p: float(((u - fit(p[:1], p[1:])[0]) ** 2).sum()) / scale,
-        simplex[0],
-        method="Nelder-Mead",
-        bounds=[(None, None), (thinnest, 1 - thinnest)],
-        options={"xatol": 1e-7, "fatol": 1e-14, "initial_simplex": simplex},
-    )
-    start, share = best.x
-    fitted, rise = fit(best.x[:1], best.x[1:])
-    difference = float(rise[0]) / L
-    inside = profile.mean_rate + difference * (1 - share), share, start + share / 2
-    outside = profile.mean_rate - difference * share, 1 - share, start + (1 + share) / 2
-    fast, slow = sorted([inside, outside], key=lambda band: -abs(band[0]))
-    return Bands(
-        rates=(float(fast[0]), float(slow[0])),
-        shares=(float(fast[1]), float(slow[1])),
-        centres=(float(fast[2] % 1 * L), float(slow[2] % 1 * L)),
-        vx=profile.vx - u + fitted,
-        one=float(u.std()),
-        two=float((u - fitted).std()),
-    )
-
-
-def _zigzag(s: Array, start: Array | float, share: Array | float) -> Array:
-    """Return the line of period 1 that rises by slope 1 − share over ``share`` from ``start``, and falls."""
-    s = (s - start) % 1
-    return np.minimum(s * (1 - share), share * (1 - s))
+    values = means(sums.total)
+    unknown = np.full_like(values, np.nan)
+    errors = np.sqrt((count - 1) * means(sums.without).var(axis=1)) if count > 1 else unknown
+    y = (np.arange(M) + 0.5) * thickness
+    (v, slope, phi), (v_error, slope_error, phi_error) = values, errors
+    return Profile(y, v, slope, phi, v_error, slope_error, phi_error, state.height, rate, state.phi)

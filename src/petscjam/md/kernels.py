@@ -684,7 +684,7 @@ def sample_disks(disks, height, rate, layers, sums):
     layers, sums : arrays
         Overwritten.
     """
-    q, R = disks.q, disks.R
+    q, R, m = disks.q, disks.R, disks.m
     for a in range(len(q)):
         spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / height)
         y, vx = q[a, 1] - row * height, q[a, 2] - row * rate * height
@@ -696,10 +696,14 @@ def sample_disks(disks, height, rate, layers, sums):
         layers[0, layer] += 1.0
         layers[1, layer] += vx
         layers[2, layer] += np.pi * R[a] ** 2
+        cx, cy = vx - rate * y, q[a, 3]
+        layers[3, layer] += m[a] * cx * cx
+        layers[4, layer] += m[a] * cx * cy
+        layers[5, layer] += m[a] * cy * cy
 
 
 @njit(cache=True, error_model="numpy")
-def sample_contacts(q, pairs, now, moments, scatter, sums):
+def sample_contacts(q, pairs, law, now, layers, moments, scatter, sums):
     """Add observables of contacts (:meth:`petscjam.md.engine.Engine.sample`); those of one contact go to ``scatter``.
 
     The choice of this contact varies from sample to sample, and is the same after a restart.
@@ -708,11 +712,12 @@ def sample_contacts(q, pairs, now, moments, scatter, sums):
     ----------
     q : (N, 5)
     pairs : Pairs
+    law : Law
     now : Moment
-    moments, scatter, sums : arrays
+    layers, moments, scatter, sums : arrays
         Overwritten.
     """
-    v, touching, rate = np.zeros(4), 0, now.rate
+    v, touching, rate, count = np.zeros(4), 0, now.rate, layers.shape[1]
     for c in range(len(pairs.i)):
         touching += pairs.touching[c]
     chosen = now.tick // TICKS % 2**31 * 2654435761 % 2**31 % max(touching, 1)
@@ -724,6 +729,16 @@ def sample_contacts(q, pairs, now, moments, scatter, sums):
             v[1] = (q[pairs.i[c], 4] + q[pairs.j[c], 4]) * r * pairs.inverse[c]
             v[2] = v[0] + v[1]
             v[3] = -(vx * x + vy * y) / r
+            turn = law.rolls * v[1] / r
+            spring, gx, gy, _ = _contact(
+                x, y, vx + turn * y, vy - turn * x, pairs.inverse[c], law, law.exponent, law.absolute, law.dU
+            )
+            for a in (pairs.i[c], pairs.j[c]):
+                s = q[a, 1] / pairs.height
+                layer = min(int((s - np.floor(s)) * count), count - 1)
+                layers[3, layer] += (spring * x - gx) * x / 2
+                layers[4, layer] += (spring * x - gx) * y / 2
+                layers[5, layer] += (spring * y - gy) * y / 2
             sums[NORMAL2] += v[3] ** 2
             sums[TANGENTIAL2] += v[0] ** 2
             if rate != 0.0:

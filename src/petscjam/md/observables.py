@@ -15,7 +15,7 @@ import numpy as np
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array, Integers
 from petscjam.md import engine
-from petscjam.md.engine import BINS, TICKS, Totals
+from petscjam.md.engine import BINS, LAYERED, TICKS, Totals
 from petscjam.md.state import State
 
 SAMPLES = 5  # of disks and contacts, in each row
@@ -174,7 +174,7 @@ class BlockSums:
     ----------
     angles : (2, BINS) integers
         Collision angles at making and at breaking.
-    layers, moments : (3, M), (5, 4)
+    layers, moments : (LAYERED, M), (5, 4)
         Over the samples (:meth:`petscjam.md.engine.Engine.sample`).
     scatter : (S, 4)
         One row for each sample; NaN without a sample or a contact.
@@ -199,7 +199,7 @@ class BlockSums:
         """Return the sums of a new block, with this number of ``layers`` in y."""
         scatter = np.full((SAMPLES * ROWS_PER_BLOCK, 4), np.nan)
         angles, looked = np.zeros((2, BINS), np.int64), np.zeros(2, np.int64)
-        return cls(angles, np.zeros((3, layers)), np.zeros((5, 4)), scatter, looked)
+        return cls(angles, np.zeros((LAYERED, layers)), np.zeros((5, 4)), scatter, looked)
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -209,15 +209,17 @@ class BlockSums:
 
     @classmethod
     def restored(cls, saved: Mapping[str, Any]) -> BlockSums:
-        """Return the sums of a checkpoint."""
+        """Return the sums of a checkpoint; those of older files have no stress by layer."""
         found = {name.removeprefix("block_"): np.array(v) for name, v in saved.items() if name.startswith("block_")}
         own: dict[str, Any] = {name: found.pop(name) for name in ("angles", "layers", "moments", "scatter")}
-        return cls(**own, looked=found.pop("looked").astype(np.int64), sampled=found)
+        layers = np.zeros((LAYERED, own["layers"].shape[1]))
+        layers[: len(own["layers"])] = own["layers"][:LAYERED]
+        return cls(**own | {"layers": layers}, looked=found.pop("looked").astype(np.int64), sampled=found)
 
 
 CHECKPOINT = {
     "block_angles": f"2 {BINS}",
-    "block_layers": "3 M",
+    "block_layers": "K M",
     "block_moments": "5 4",
     "block_scatter": "S 4",
     "block_looked": "2",
@@ -267,6 +269,7 @@ BLOCKS: dict[str, Block] = {
     "layer_disks": Block("disks by layer", "M", lambda b: b.layers[0]),
     "layer_vx": Block("ds/τe, sum of vx", "M", lambda b: b.layers[1]),
     "layer_area": Block("ds², sum of disk area", "M", lambda b: b.layers[2]),
+    "layer_stress": Block("m ds²/τe², sums of P_xx, P_xy, P_yy times volume by layer", "3 M", lambda b: b.layers[3:]),
     "pairs": Block("contacts in the samples", "", lambda b: b.looked[1]),
     "first": Block("sums of V_T, V^R, V^C_T, V_N over contacts, in ds γ̇", "4", lambda b: b.moments[0]),
     "second": Block("sums of their products", "4 4", lambda b: b.moments[1:]),

@@ -30,7 +30,7 @@ from petscjam.md.recording import Recorder, read_checkpoint
 from petscjam.md.result import Run, read_run
 from petscjam.md.settings import Settings
 from petscjam.md.simulation import Simulation
-from petscjam.md.starts import Start, first_state, given_state, rescaled
+from petscjam.md.starts import Phases, Start, first_state, given_state, rescaled, two_phases
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
 from petscjam.rows.damping import DampingLaw
@@ -86,8 +86,8 @@ def shear(
     output : path
         File of the run (HDF5), complete at every moment.
     **options
-        As for :func:`run`: rescale, integrator, threads, exponent, stokes_drag, rotational_drag, mass,
-        angles, row_time, resume, overwrite, progress, frames.
+        As for :func:`run`: rescale, start_bands, integrator, threads, exponent, stokes_drag, rotational_drag,
+        mass, angles, row_time, resume, overwrite, progress, frames.
 
     Returns
     -------
@@ -149,6 +149,7 @@ def run(
     dt: float | None = None,
     start: Start = None,
     rescale: bool = False,
+    start_bands: Phases | None = None,
     output: str | PathLike[str] | None = None,
     integrator: str = "heun",
     threads: int = 1,
@@ -173,6 +174,9 @@ def run(
     rescale : bool
         Change the cell and the positions of ``start`` to the packing fraction ``phi``; radii and peculiar velocities
         stay.
+    start_bands : ((float, float), (float, float))
+        (φ, γ̇) of a Bagnoldian and of a Newtonian band, into which the start is divided
+        (:func:`petscjam.md.starts.two_phases`).
     integrator : str
         ``heun`` (VOT eqs. 21–24) or ``single`` (one evaluation of the forces in each step, smaller largest dt).
     threads : int
@@ -217,6 +221,10 @@ def run(
             if given is None or phi is None:
                 raise InputError("shear: rescale goes with start and phi")
             given, origin = rescaled(given, phi), f"{origin}, rescaled from φ = {given.phi:.8g}"
+        if start_bands is not None:
+            origin += "; bands of " + ", ".join(f"φ = {x:g} at γ̇ = {y:g}" for x, y in start_bands)
+            if protocol.bulk == "boundary":
+                raise InputError("shear: with bulk = boundary the start is not changed: give no bands")
         first = given if earlier is None else earlier.run.state
         potential = POTENTIALS["harmonic-relative"] if first is None else first.potential
         if exponent is not None:
@@ -230,6 +238,7 @@ def run(
         made |= {"version": release("petscjam"), **build()}
         if earlier is not None:
             asked = {"particles": n, "phi": phi} | ({"seed": seed} if given is None else {"start": origin})
+            asked |= {} if start_bands is None else {"start": origin}
             earlier.check(replace(earlier.run.settings, model=law, **made).attributes | asked)
             with naming(earlier.file):
                 disks = kind.restored(earlier.saved, law, dt, integrator, threads)
@@ -239,6 +248,7 @@ def run(
             first = first_state(given, origin, n, phi, seed, law, protocol)
             turned = np.zeros(len(first)) if first.angles is None else first.angles
             first = replace(first, angles=turned if angles else None)
+            first = first if start_bands is None else two_phases(first, start_bands)
             made |= {"start": origin, "strain0": first.strain, "time0": first.time}
             made |= {"particles": len(first), "phi": first.phi, "seed": seed if given is None else None}
             disks = kind(first, law, dt, integrator, threads)

@@ -302,7 +302,7 @@ class Simulation:
         """
         sums = np.zeros(SAMPLED)
         kernels.sample_disks(self._disks, self.height, self.rate, layers, sums)
-        kernels.sample_contacts(self._disks.q, self._pairs, self._moment, moments, scatter, sums)
+        kernels.sample_contacts(self._disks.q, self._pairs, self._law, self._moment, layers, moments, scatter, sums)
         return sums
 
     @property

@@ -5,6 +5,7 @@ Axes: i disk, x Cartesian.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -24,7 +25,9 @@ from petscjam.md.state import State, random_state
 from petscjam.rows.damping import ContactDamping
 
 Start = State | Run | Packing | str | PathLike[str] | None
+Phases = Sequence[tuple[float, float]]  # (φ, γ̇) of two bands
 SETTLE = 200.0  # τe for disks at random positions to move apart
+RESCALED = 0.2  # largest relative change of the rates of two bands
 
 
 def first_state(
@@ -72,6 +75,56 @@ def first_state(
         v[:, 0] += (rate - state.rate) * state.positions[:, 1]
         spins = spins - (rate - state.rate) / 2 * model.rolls
     return replace(state, velocities=v, spins=spins, rate=rate)
+
+
+def two_phases(state: State, bands: Phases) -> State:
+    """Return ``state`` with two shear bands: the Bagnoldian one at 0 ≤ y < f Ly, the Newtonian one above it.
+
+    The share f of the height is that of φ = f φ_B + (1 − f) φ_N. Positions are stretched in y to φ_B, and compressed
+    to φ_N. Both rates are multiplied by one number, at most 20 % from 1, that gives γ̇ = f γ̇_B + (1 − f) γ̇_N. The
+    mean velocity is linear in each band, without momentum relative to γ̇y; peculiar velocities and spins are
+    multiplied by the rate of the band divided by γ̇ (VOT eqs. 40, 41).
+
+    Parameters
+    ----------
+    state : State
+        With the linear profile of its rate.
+    bands : ((float, float), (float, float))
+        (φ_B, γ̇_B) and (φ_N, γ̇_N), rates in 1/τe.
+
+    Raises
+    ------
+    InputError
+        If the bands are not two, φ is not between φ_B and φ_N or γ̇ not between γ̇_N and γ̇_B, or γ̇ is not the mean.
+    """
+    if len(bands) != 2:
+        raise InputError(f"shear: a start with bands has two of them, (phi, rate) each, not {len(bands)}")
+    (low, fast), (high, slow) = bands
+    for phi, rate in bands:
+        ranges.PHI.check("shear: the packing fraction phi of a band", phi)
+        ranges.RATE.check("shear: the strain rate of a band", rate)
+    if not low < state.phi < high:
+        raise InputError(f"shear: phi = {state.phi:.6g} is not between those of the bands, {low:g} and {high:g}")
+    if state.rate == 0 or not 0 <= slow / state.rate < 1 < fast / state.rate:
+        raise InputError(f"shear: the rate {state.rate:g} is not between those of the bands, {fast:g} and {slow:g}")
+    share = (high - state.phi) / (high - low)
+    mean = share * fast + (1 - share) * slow
+    scale = state.rate / mean
+    if abs(scale - 1) > RESCALED:
+        raise InputError(
+            f"shear: bands of {share:.4g} and {1 - share:.4g} of the height (from phi) have a mean rate of {mean:.4g}, "
+            f"not {state.rate:g} within {RESCALED:.0%}"
+        )
+    state, L = state.wrapped(), state.height
+    edge, was = share * L, share * low / state.phi * L
+    rates = scale * np.array([fast, slow])
+    x, y = state.positions.T
+    y = np.interp(y, [0, was, L], [0, edge, L])
+    ratio = rates[(y >= edge).astype(int)] / state.rate
+    v = ratio[:, None] * state.peculiar
+    profile = np.interp(y, [0, edge, L], [0, rates[0] * edge, state.rate * L])
+    v[:, 0] += profile - (profile - state.rate * y).mean()  # no momentum relative to γ̇ y
+    return replace(state, positions=np.column_stack([x, y]), velocities=v, spins=ratio * state.spins)
 
 
 def _settled(state: State, model: Model) -> State:

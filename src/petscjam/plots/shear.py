@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +13,13 @@ from petscjam.analysis.statistics import standard_error
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.box import Box
-from petscjam.md.fields import RADIUS, Bands, bands, blocks_after, local_maps, profile
+from petscjam.md.banding import Bands, NoBandsError, bands
+from petscjam.md.fields import RADIUS, blocks_after, local_maps, profile
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, disks, save
 from petscjam.plots.packing import OUTLINED
-from petscjam.plots.tables import means_of
+from petscjam.plots.tables import describe_bands, means_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,12 +82,14 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
 
     figure: Any = Figure(figsize=(16, 11), layout="constrained")
     figure.get_layout_engine().set(wspace=0.04, hspace=0.05)
-    panels = figure.subplots(3, 4)
+    panels, found = figure.subplots(3, 4), None
+    with suppress(NoBandsError):
+        found = bands(run)
     _draw_series(panels[0], run)
-    _draw_profiles(panels[1, :3], run)
+    _draw_profiles(panels[1, :3], run, found)
     _draw_angles(panels[1, 3], run)
     _draw_velocities(panels[2, :3], run)
-    _draw_means(panels[2, 3], run)
+    _draw_means(panels[2, 3], run, found)
     rate = run.settings.history["rate"]
     figure.suptitle(rf"{_title(run)}, $\dot\gamma\tau_e$ = {_number(rate)}", fontsize=13)
     _warn(figure, run.warnings)
@@ -133,13 +137,13 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
         axes.set(xlabel=label, xlim=sorted((start, x[-1])))
 
 
-def _draw_profiles(panels: Sequence[Axes], run: Run) -> None:
-    """Draw vx(y), its slope and φ(y) (VOT fig. 28), and two bands if they fit much better than one."""
-    p = profile(run)
-    for axes, values, error, colour, label, mean in (
-        (panels[0], p.vx, p.vx_error, STORAGE, r"$v_x(y)$  ($d_s/\tau_e$)", None),
-        (panels[1], p.rate, p.rate_error, LOSS, r"local strain rate $dv_x/dy$  ($1/\tau_e$)", p.mean_rate),
-        (panels[2], p.phi, p.phi_error, STABLE, r"local packing fraction $\phi(y)$", p.mean_phi),
+def _draw_profiles(panels: Sequence[Axes], run: Run, found: Bands | None) -> None:
+    """Draw vx(y), its slope and φ(y) (VOT fig. 28); two bands are moved to the middle, and drawn with their fit."""
+    p, fits = (found.profile, found.fitted) if found else (profile(run), [None] * 3)
+    for axes, values, error, fit, colour, label, mean in (
+        (panels[0], p.vx, p.vx_error, fits[0], STORAGE, r"$v_x(y)$  ($d_s/\tau_e$)", None),
+        (panels[1], p.rate, p.rate_error, fits[1], LOSS, r"local strain rate $dv_x/dy$  ($1/\tau_e$)", p.mean_rate),
+        (panels[2], p.phi, p.phi_error, fits[2], STABLE, r"local packing fraction $\phi(y)$", p.mean_phi),
     ):
         axes.fill_between(p.y, values - error, values + error, color=colour, alpha=0.25, lw=0)
         axes.plot(p.y, values, color=colour, lw=1.3)
@@ -147,34 +151,12 @@ def _draw_profiles(panels: Sequence[Axes], run: Run) -> None:
             axes.plot(p.y, p.vx.mean() + p.mean_rate * (p.y - p.length / 2), "--", color=GREY, lw=0.9)
         else:
             axes.axhline(mean, color=GREY, ls="--", lw=0.9)
-        axes.set(xlabel="$y/d_s$", ylabel=label, xlim=(0, p.length))
+        if found and fit is not None:
+            axes.plot(p.y, fit, ":", color="0.1", lw=1.4)
+            for edge in (1 - found.share[0], 1 + found.share[0]):
+                axes.axvline(edge * p.length / 2, color="0.6", ls=":", lw=1)
+        axes.set(xlabel="$y/d_s$" + ", moved with the bands" * bool(found), ylabel=label, xlim=(0, p.length))
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True, useOffset=False)
-    if (b := _two_bands(run)) is None:
-        return
-    panels[0].plot(p.y, b.vx, ":", color="0.1", lw=1.2)
-    edges = (b.centres[0] + np.array([-1, 1]) * b.shares[0] * p.length / 2) % p.length
-    for axes in panels:
-        for edge in edges:
-            axes.axvline(edge, color="0.6", ls=":", lw=1)
-    for rate, middle in zip(b.rates, b.centres, strict=True):
-        panels[1].annotate(
-            _number(float(f"{rate:.2g}")),
-            (middle, rate),
-            (0, 14),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9,
-            bbox={"fc": "white", "ec": "none", "pad": 1},
-        )
-
-
-def _two_bands(run: Run) -> Bands | None:
-    """Return the bands of the profile if the deviation of two slopes is less than a third of that of one."""
-    p = profile(run)
-    if len(p.y) < 8:
-        return None
-    found = bands(p)
-    return found if found.two < found.one / 3 and abs(found.rates[0]) > 2 * abs(found.rates[1]) else None
 
 
 def _draw_angles(axes: Axes, run: Run) -> None:
@@ -227,15 +209,12 @@ def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None
     panels[2].set_title(r"contacts: velocity differences in units of $d_s\dot\gamma$", fontsize=9)
 
 
-def _draw_means(axes: Axes, run: Run) -> None:
+def _draw_means(axes: Axes, run: Run, found: Bands | None) -> None:
     axes.set_axis_off()
     lines = ["time means after a quarter of the strain", ""]
     lines += means_of(run, "{:10s} {:11.4g} ± {:.2g}") if run.after().sum() > 1 else ["the run is too short"]
-    if b := _two_bands(run):
-        lines += ["", "two bands:"]
-        for rate, share, middle in zip(b.rates, b.shares, b.centres, strict=True):
-            lines.append(f"rate {rate:.3g} on {100 * share:.0f} % at y = {middle:.1f}")
-        lines.append(f"rms of vx: {b.two:.2g} (one slope {b.one:.2g})")
+    if found:
+        lines += ["", *describe_bands(found)]
     axes.text(0.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", family="monospace", fontsize=9)
 
 

@@ -12,6 +12,7 @@ from petscjam.analysis.statistics import alike, nominal, standard_error
 from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
+from petscjam.md.banding import Bands, bands
 from petscjam.md.observables import AbsentError
 from petscjam.md.oscillations import summary
 from petscjam.md.result import MEANS, Run
@@ -130,6 +131,8 @@ def describe_run(run: Run) -> str:
     for describe in (_lifetimes, _budget, _parts):
         with suppress(AbsentError):
             lines += describe(run)
+    with suppress(InputError):
+        lines += describe_bands(bands(run))
     return "\n".join([*lines, *(f"WARNING: {text}" for text in run.warnings)])
 
 
@@ -146,6 +149,20 @@ def means_of(run: Run, line: str) -> list[str]:
         return [line.format(symbol, *m) for symbol, m in summary(run).items() if np.isfinite(m.value)]
     except InputError as error:
         return [str(error)]
+
+
+def describe_bands(found: Bands) -> list[str]:
+    """Return a table of two shear bands, and the width of their interfaces."""
+    e = found.errors
+    rows = [("rate", found.rate, e.rate), ("φ", found.phi, e.phi)]
+    rows += [("share, rate", found.share, e.share), ("share, φ", found.share_phi, e.share_phi)]
+    if np.isfinite(found.stresses).all():
+        rows += zip(("P_xx", "Σ", "P_yy"), found.stresses.T, e.stresses.T, strict=True)
+    lines = [f"{'two bands:':12s}{'Bagnoldian':>19s}{'Newtonian':>19s}"]
+    for name, values, errors in rows:
+        pair = [f"{value:.4g} ± {error:.1g}" for value, error in zip(values, errors, strict=True)]
+        lines.append(f"{name:12s}{pair[0]:>19s}{pair[1]:>19s}")
+    return [*lines, f"rate ~ tanh(Δy/w) at the interfaces, w = {found.width:.3g} ± {e.width:.1g}"]
 
 
 def _lifetimes(run: Run) -> list[str]:
