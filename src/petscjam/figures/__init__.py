@@ -1,6 +1,7 @@
-"""The figures of Baumgarten & Tighe 2017 and a few others: packings, results, exponents, picture.
+"""The figures of both papers and a few others: packings or runs, results, exponents, picture.
 
-``FIGURES`` lists them. The parameters of each are in a file of its name, ``mpi_runs/bt3.toml``.
+``FIGURES`` lists them. The parameters of each are in a file of its name, ``mpi_runs/bt3.toml``, or in that of its set
+of runs, ``mpi_runs/vot_cd.toml``.
 """
 
 from __future__ import annotations
@@ -35,6 +36,32 @@ FIGURES = {
     "bt8": "finite-size scaling of the viscosity",
     "modes": "low modes: floppiness, and number of modes of the quasi-static response",
     "drag": "nonlinear drag: equivalent damping of the whole packing and contact by contact",
+    "vot1": "CD: pressure against Q at several packing fractions",
+    "vot2": "CD: viscosity and Bagnold coefficient of the pressure against Q at several strain rates",
+    "vot3": "CD: phase diagram, Newtonian and Bagnoldian flow in the plane of packing fraction and Q",
+    "vot4": "CD: contacts against Q",
+    "vot5": "CD: contacts, and duration times rate of collisions, against Q",
+    "vot6": "CD: duration and rate of collisions against Q",
+    "vot8": "CD: collision angles",
+    "vot9": "CD: tangential collisions against Q",
+    "vot10": "CD_rot: pressure against Q at several packing fractions",
+    "vot11": "CD_rot: viscosity and Bagnold coefficient of the pressure against Q at several strain rates",
+    "vot12": "CD_rot: contacts against Q",
+    "vot13": "CD_rot: contacts, and duration times rate of collisions, against Q",
+    "vot14": "CD_rot: duration and rate of collisions against Q",
+    "vot15": "CD_rot: pressure against packing fraction at several Q",
+    "vot16": "CD_rot: viscosity and Bagnold coefficient against packing fraction at several strain rates",
+    "vot17": "CD_rot: phase diagram",
+    "vot18": "CD_rot: collision angles",
+    "vot19": "CD_rot: tangential collisions against Q",
+    "vot20": "CD_rot: rotation of the disks against packing fraction",
+    "vot21": "CD_rot: correlations of the velocities of contacts",
+    "vot32": "CD_rot: Qc and Q* from contacts at two strain rates",
+    "vot33": "CD_rot: packing fraction of the transition from pressures at two strain rates",
+}
+SETS = {  # figures that share runs and parameters: the module
+    **dict.fromkeys((f"vot{k}" for k in (1, 2, 3, 4, 5, 6, 8, 9)), "vot_cd"),
+    **dict.fromkeys((f"vot{k}" for k in (*range(10, 22), 32, 33)), "vot_cd_rot"),
 }
 
 
@@ -55,7 +82,7 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     """
     if name not in FIGURES:
         raise InputError(f"figure {name!r} is unknown; known are {', '.join(FIGURES)}")
-    module: Any = find_spec(f"petscjam.figures.{name}")
+    module: Any = find_spec(f"petscjam.figures.{SETS.get(name, name)}")
     source = file or Path(module.origin).with_suffix(".toml")
     with naming(source):
         try:
@@ -122,7 +149,7 @@ class Request:
 def make_figure(
     request: Request, *, comm: Comm, progress: Report | None = None, log: Callable[[str], None] = print
 ) -> list[Finding]:
-    """Make a figure: NAME.png, the page NAME.md, and NAME*.h5 with the results. Collective.
+    """Make a figure: NAME.png, the page NAME.md, its numbers NAME.csv, and NAME*.h5 with the results. Collective.
 
     Parameters
     ----------
@@ -141,13 +168,14 @@ def make_figure(
     agree(comm, request)
     parameters = on_root(comm, request.parameters)
     name, folder = request.name, request.folder
-    picture, page = folder / f"{name}.png", folder / f"{name}.md"
+    picture, page, table = (folder / f"{name}.{kind}" for kind in ("png", "md", "csv"))
     with made_folder(folder, comm), claimed(picture, comm):
-        for target in (picture, page):
+        for target in (picture, page, table):
             inputs = [request.file] if request.file else []
             on_root(comm, check_output, target, overwrite=request.overwrite or request.resume, inputs=inputs)
         data = FigureData(parameters, folder, comm, request.overwrite, request.existing, progress, log)
-        import_module(f"petscjam.figures.{name}").draw(data)
+        import_module(f"petscjam.figures.{SETS.get(name, name)}").draw(data)
         text = data.page.text(request.command, parameters.values)
         on_root(comm, write_atomically, page, text.encode())
+        on_root(comm, write_atomically, table, data.page.table.encode())
         return list(comm.bcast(data.page.findings))

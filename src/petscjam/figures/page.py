@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from csv import writer
 from dataclasses import dataclass, field
-from typing import Any
+from io import StringIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +27,16 @@ class Finding:
     remark: str = ""
 
 
+class Number(NamedTuple):
+    """A number of the picture: quantity, x, value, its standard error, and the value of the paper."""
+
+    quantity: str
+    x: float
+    value: float
+    error: float
+    paper: str = ""
+
+
 @dataclass
 class Page:
     """The results of a figure.
@@ -32,11 +44,14 @@ class Page:
     Attributes
     ----------
     findings : list of Finding
+    numbers : list of Number
+        Of the picture, for the table NAME.csv.
     tallies : list of str
         Numbers of packings of each kind, and of those left out.
     """
 
     findings: list[Finding] = field(default_factory=list)
+    numbers: list[Number] = field(default_factory=list)
     tallies: list[str] = field(default_factory=list)
 
     def mean(self, name: str, samples: ArrayLike, paper: str, remark: str = "") -> None:
@@ -49,7 +64,40 @@ class Page:
         samples : (k,)
         """
         (value,), (error,) = means([samples])
-        self.findings.append(Finding(name, float(value), float(error), paper, remark))
+        self.found(name, float(value), float(error), paper, remark)
+
+    def found(self, name: str, value: float, error: float, paper: str, remark: str = "") -> None:
+        """Note a number and its standard error.
+
+        Parameters
+        ----------
+        name : str
+        value, error : float
+        paper, remark : str
+            As in :class:`Finding`.
+        """
+        self.findings.append(Finding(name, value, error, paper, remark))
+
+    def number(self, quantity: str, x: float, value: float, error: float, paper: str = "") -> None:
+        """Add a number of the picture to the table.
+
+        Parameters
+        ----------
+        quantity : str
+        x, value, error : float
+        paper : str
+        """
+        self.numbers.append(Number(quantity, x, value, error, paper))
+
+    @property
+    def table(self) -> str:
+        """The findings and the numbers of the picture as CSV."""
+        text = StringIO()
+        rows = writer(text, lineterminator="\n")
+        rows.writerow(Number._fields)
+        rows.writerows([f.name, "", f.value, f.error, f.paper] for f in self.findings)
+        rows.writerows(self.numbers)
+        return text.getvalue()
 
     def exponent(
         self,
@@ -134,8 +182,8 @@ class Page:
                 value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
                 value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
                 lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
-            how = "of exponents and collapses by bootstrap, of lengths by jackknife, of local slopes and means"
-            lines += ["", f"± is the standard error over packings: {how} from their scatter.", ""]
+            how = "of exponents, collapses and transitions by bootstrap, of lengths by jackknife, of slopes and means"
+            lines += ["", f"± is the standard error over packings or seeds: {how} from their scatter.", ""]
         lines += [f"- {tally}" for tally in self.tallies]
         lines += ["", "| parameter | |", "|---|---|"]
         lines += [f"| {key} | {value} |" for key, value in parameters.items()]

@@ -1,0 +1,269 @@
+"""The sheared runs of a set of figures: made once, kept in one folder, and prolonged until their means are good enough.
+
+Which runs are made depends only on the numbers of earlier runs, so a set is the same on any number of ranks, and after
+a stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from petscjam.base.errors import InputError, SolverError
+from petscjam.figures.data import FigureData
+from petscjam.md.grid import Point, run_grid
+from petscjam.md.result import Mean, Run, read
+from petscjam.md.runs import shear
+from petscjam.parallel.comm import on_root
+
+T = TypeVar("T")
+Search = Generator[list[Point], dict[Point, Run], T]  # yields points, gets their runs
+
+
+@dataclass
+class Flows:
+    """The runs of a set of figures.
+
+    A run ends when the error of its mean P^el is below ``goal``, or its strain is ``budget``.
+
+    Attributes
+    ----------
+    data : FigureData
+        Of the current figure.
+    name : str
+        Of the set, and of its folder.
+    strain, budget : float
+        Amount of strain at first and at most; it is doubled.
+    goal : float
+        Relative standard error of P^el.
+    """
+
+    data: FigureData
+    name: str
+    strain: float
+    budget: float
+    goal: float
+    runs: dict[Point, Run] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the runs."""
+        return self.data.folder / "runs" / self.name
+
+    def make(self, points: Sequence[Point]) -> None:
+        """Make runs, or read those that exist; ``runs`` has them on rank 0. Collective.
+
+        Raises
+        ------
+        SolverError
+            If a run fails.
+        """
+        comm, data, strain = self.data.comm, self.data, self.strain
+        left = on_root(comm, self._left, list(dict.fromkeys(points)), strain)
+        while left:
+            work = self._work(strain)
+            _, failures = run_grid(left, self.folder, work, comm=comm, resume=True, progress=data.progress, log=_quiet)
+            if failures:
+                raise SolverError("; ".join(failures))
+            strain = min(2 * strain, self.budget)
+            left = on_root(comm, self._left, left, strain)
+
+    def search(self, searches: Sequence[Search[T]]) -> list[T]:
+        """Run searches side by side: the points of all of them are made together. Collective.
+
+        Parameters
+        ----------
+        searches : sequence of generators
+            On rank 0; elsewhere they are not used.
+
+        Returns
+        -------
+        list
+            What the searches return; on rank 0 only.
+        """
+        comm, results = self.data.comm, [None] * len(searches)
+        wanted: dict[int, list[Point]] = {}
+
+        def go_on(first: bool) -> list[Point]:
+            for k, search in enumerate(searches):
+                if first or k in wanted:
+                    try:
+                        made = {point: self.runs[point] for point in wanted.get(k, [])}
+                        wanted[k] = next(search) if first else search.send(made)
+                    except StopIteration as done:
+                        results[k] = done.value
+                        wanted.pop(k, None)
+            return [point for points in wanted.values() for point in points]
+
+        points = on_root(comm, go_on, True)
+        while points:
+            self.make(points)
+            points = on_root(comm, go_on, False)
+        return results  # type: ignore[return-value]
+
+    def file(self, point: Point) -> Path:
+        """Return the file of a run."""
+        return self.folder / f"{point.name}.h5"
+
+    def _work(self, strain: float) -> Any:
+        return partial(shear, strain=strain, integrator="single")
+
+    def _left(self, points: Sequence[Point], strain: float) -> list[Point]:
+        """Read the runs; return the points of those that have to go on to ``strain``."""
+        left = []
+        for point in points:
+            file = self.file(point)
+            if file.exists():
+                self.runs[point] = read(file)
+            elif self.data.existing:
+                raise InputError(f"{file}: is not there, and --existing makes no further runs")
+            if not (
+                file.exists() and (self._strain(self.runs[point]) > 0.999 * strain or self._good(self.runs[point]))
+            ):
+                left.append(point)
+        return [] if self.data.existing else left
+
+    def _good(self, run: Run) -> bool:
+        value, error = run.mean("pressure_elastic")
+        return self._strain(run) > 0.999 * self.strain and error <= self.goal * value
+
+    @staticmethod
+    def _strain(run: Run) -> float:
+        return float(abs(run.strain[-1] - run.settings.strain0))
+
+    @property
+    def tally(self) -> str:
+        """The number of runs, and their total strain, for the page."""
+        strain = sum(map(self._strain, self.runs.values()))
+        unsettled = sum(not self._good(run) for run in self.runs.values())
+        return (
+            f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g}; in {unsettled} of them the "
+            f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}."
+        )
+
+
+def _quiet(file: Path, run: Run) -> None:
+    """Print nothing: a set has hundreds of runs."""
+
+
+def newtonian(run: Run, threshold: float) -> float:
+    """Return the share of the strain, without the first quarter, at which Z is above ``threshold``.
+
+    Parameters
+    ----------
+    run : Run
+    threshold : float
+        Mean contacts of a disk.
+    """
+    return float((run.contacts[run.after()] > threshold).mean())
+
+
+def falls(points: Sequence[Point], runs: dict[Point, Run], least: float = 3.0) -> tuple[float, float] | None:
+    """Return the two values of Q between which Z falls most; None if it falls by less than a factor ``least``.
+
+    Parameters
+    ----------
+    points : sequence of Point
+        At one packing fraction and strain rate, several seeds.
+    runs : dict
+        By point.
+    least : float
+    """
+    Qs = sorted({point.Q for point in points})
+    logs = np.array([np.mean([np.log(runs[p].mean("contacts").value) for p in points if p.Q == Q]) for Q in Qs])
+    k = int(np.diff(logs).argmin())
+    return (Qs[k], Qs[k + 1]) if logs[k] - logs[k + 1] > np.log(least) else None
+
+
+def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -> Search[dict[float, list[float]]]:
+    """Search Qc at one packing fraction and strain rate: runs from both sides where the share is least known.
+
+    Near Qc the flow is bistable; so new runs start from the ends of the Newtonian and of the Bagnoldian runs at the two
+    values of Q between which Z falls.
+
+    Parameters
+    ----------
+    points : list of Point
+        From random starts, several Q and seeds.
+    rounds : int
+        Bisections of ln Q.
+    file : callable
+        The file of a run.
+
+    Returns
+    -------
+    dict
+        The shares of Newtonian strain of each seed, by Q, ascending; empty if Z does not fall.
+    """
+    runs = yield points
+    ends = falls(points, runs)
+    if ends is None:
+        return {}
+    at = {Q: [p for p in points if p.Q == Q] for Q in ends}
+    low, high = ends
+    level = {Q: np.mean([np.log(runs[p].mean("contacts").value) for p in some]) for Q, some in at.items()}
+    threshold = float(np.exp((level[low] + level[high]) / 2))
+    shares = {Q: [newtonian(runs[p], threshold) for p in some] for Q, some in at.items()}
+    for _ in range(rounds):
+        Q = float(f"{(low * high) ** 0.5:.4g}")
+        some = [replace(p, Q=Q, start=file(p)) for end in ends for p in at[end]]
+        runs = yield some
+        each = [newtonian(runs[p], threshold) for p in some]
+        shares[Q] = np.reshape(each, (2, -1)).mean(0).tolist()
+        low, high = (Q, high) if np.mean(shares[Q]) >= 0.5 else (low, Q)
+    return dict(sorted(shares.items()))
+
+
+def mean(run: Run, what: str) -> Mean:
+    """Return a time mean and its error; τdur, νcoll and their product are ratios of sums over the rows.
+
+    Parameters
+    ----------
+    run : Run
+    what : str
+        A row or a property of the run, or ``duration_time`` (τdur/τe), ``collision_rate`` (νcoll τe) or
+        ``product`` (2 τdur νcoll, VOT eq. 25).
+    """
+    late = run.after()
+    made, broken, duration = (run.rows[name][late] for name in ("made", "broken", "duration"))
+    window = np.diff(run.time, prepend=run.settings.time0)[late]
+    disks = run.settings.particles
+    if what == "duration_time":
+        return _ratio(duration, broken)
+    if what == "collision_rate":
+        return _ratio(made, window * disks)
+    if what == "product":
+        time, rate = _ratio(duration, broken), _ratio(made, window * disks)
+        value = 2 * time.value * rate.value
+        return Mean(value, value * float(np.hypot(time.error / time.value, rate.error / rate.value)))
+    return run.mean(what)
+
+
+def _ratio(above: Any, below: Any) -> Mean:
+    """Return Σ above / Σ below and its jackknife error over ten blocks of rows."""
+    count = min(10, len(above))
+    parts = [np.array([some.sum() for some in np.array_split(values, count)]) for values in (above, below)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        whole = parts[0].sum() / parts[1].sum()
+        left = (parts[0].sum() - parts[0]) / (parts[1].sum() - parts[1])
+    return Mean(float(whole), float(np.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())))
+
+
+def over_seeds(runs: Sequence[Run], what: str) -> Mean:
+    """Return the mean over seeds of :func:`mean` and its error: over seeds, or that of a single run.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    what : str
+    """
+    found = [mean(run, what) for run in runs]
+    values = np.array([one.value for one in found])
+    if len(values) == 1:
+        return found[0]
+    return Mean(float(values.mean()), float(values.std(ddof=1) / len(values) ** 0.5))

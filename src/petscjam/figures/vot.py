@@ -1,0 +1,514 @@
+"""The figures of VOT with N = 1024: panels against Q and φ, of CD (figs. 1–9) and CD_rot (figs. 10–21, 32, 33).
+
+Axes: s seed, k value of x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from petscjam.analysis.transitions import JAMMING, Located, crossing, divergence, midpoint, onset
+from petscjam.base.errors import InputError
+from petscjam.base.types import Array
+from petscjam.figures.data import FigureData
+from petscjam.figures.flows import Flows, Search, bisection, mean, over_seeds
+from petscjam.md.engine import BINS
+from petscjam.md.grid import Point, grid
+from petscjam.md.result import Mean, Run
+from petscjam.plots.figure import save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Runs = dict[Point, Run]
+LABELS = {"phi": "φ = {:g}", "Q": "Q = {:g}", "rate": "γ̇ = {:.0e}"}
+AXES = {"phi": r"$\phi$", "Q": "$Q$", "rate": r"$\dot\gamma\tau_e$"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of a flow: symbol of the axis, its name in the table, and its value from a mean of a run.
+
+    Attributes
+    ----------
+    symbol, name, what : str
+        ``what`` as for :func:`petscjam.figures.flows.mean`.
+    factor : callable
+        Of a point: the mean is multiplied by it.
+    """
+
+    symbol: str
+    name: str
+    what: str
+    factor: Callable[[Point], float] = lambda point: 1.0
+
+    def of(self, points: Sequence[Point], runs: Runs) -> Mean:
+        """Return the mean over seeds, and its error."""
+        value, error = over_seeds([runs[p] for p in points], self.what)
+        return Mean(value * self.factor(points[0]), error * self.factor(points[0]))
+
+
+P_EL = Quantity(r"$P^{\rm el}$", "P_el", "pressure_elastic")
+ETA_P = Quantity(r"$\eta_p^{\rm el}$", "ηp_el", "pressure_elastic", lambda p: p.Q / p.rate)
+B_P = Quantity(r"$B_p^{\rm el}$", "Bp_el", "pressure_elastic", lambda p: p.rate**-2)
+Z = Quantity("$Z$", "Z", "contacts")
+PRODUCT = Quantity(r"$2\tau_{\rm dur}\nu_{\rm coll}$", "2τdurνcoll", "product")
+DURATION = Quantity(r"$\tau_{\rm dur}/\tau_e$", "τdur/τe", "duration_time")
+COLLISIONS = Quantity(r"$\nu_{\rm coll}/\dot\gamma$", "νcoll/γ̇", "collision_rate", lambda p: 1 / p.rate)
+SPIN = Quantity(r"$\langle\dot\theta_i/\dot\gamma\rangle$", "⟨θ̇⟩/γ̇", "spin", lambda p: 1 / p.rate)
+SPIN_VARIANCE = Quantity(r"var$[\dot\theta_i/\dot\gamma]$", "var θ̇/γ̇", "spin_variance", lambda p: p.rate**-2)
+
+
+class Scan:
+    """The runs of one model, by what they are for.
+
+    Parameters
+    ----------
+    data : FigureData
+    model : str
+        ``CD`` or ``CD_rot``.
+    """
+
+    def __init__(self, data: FigureData, model: str) -> None:
+        self.data, self.model, self.parameters = data, model, data.parameters
+        p = data.parameters
+        self.flows = Flows(data, model, p["strain"], p["budget"], p["goal"])
+        self.phis, self.Qs = p.points("phi").tolist(), p.points("Q").tolist()
+        self.rates, self.details = p.points("rates").tolist(), p.points("details").tolist()
+
+    @property
+    def rate(self) -> float:
+        """The rate of the scan over φ and Q."""
+        return float(self.parameters["rate"])
+
+    @property
+    def low(self) -> tuple[float, float]:
+        """The two lowest rates, for the criteria of Appendix A."""
+        first, second, *_ = sorted({self.rate, *self.rates})
+        return first, second
+
+    def points(self, phi: Sequence[float] = (), Q: Sequence[float] = (), rate: Sequence[float] = ()) -> list[Point]:
+        """Return points; an empty sequence stands for all φ, all Q, the rate of the scan."""
+        n, seeds = self.parameters["particles"], self.parameters["seeds"]
+        return grid([self.model], [n], phi or self.phis, Q or self.Qs, rate or [self.rate], seeds)
+
+    @property
+    def runs(self) -> Runs:
+        """All runs so far, on rank 0."""
+        return self.flows.runs
+
+    def shares(self) -> dict[float, dict[float, list[float]]]:
+        """Return the shares of Newtonian strain by φ and Q near Qc (:func:`bisection`); on rank 0 only. Collective."""
+        rounds = int(self.parameters["rounds"])
+        searches: list[Search[Any]] = [bisection(self.points([phi]), rounds, self.flows.file) for phi in self.phis]
+        return dict(zip(self.phis, self.flows.search(searches), strict=True))
+
+    def located(self, shares: dict[float, dict[float, list[float]]]) -> dict[float, Located]:
+        """Return Qc of each φ that has one."""
+        found = {phi: crossing(list(some), np.array(list(some.values())).T) for phi, some in shares.items() if some}
+        return {phi: Qc for phi, Qc in found.items() if np.isfinite(Qc.value)}
+
+    def differences(self, key: str, points: Sequence[Point], quantity: Quantity) -> tuple[Array, Array]:
+        """Return x (K,) and the difference of a quantity between the two lowest rates (S, K) at ``points``.
+
+        Parameters
+        ----------
+        key : str
+            ``Q`` or ``phi``: x.
+        points : sequence of Point
+            At one value of the other.
+        quantity : Quantity
+        """
+        first, second = self.low
+        x = sorted({getattr(p, key) for p in points})
+        seeds = sorted({p.seed for p in points})
+        at = {(getattr(p, key), p.rate, p.seed): p for p in points}
+
+        def value(y: float, rate: float, seed: int) -> float:
+            point = at[y, rate, seed]
+            return mean(self.runs[point], quantity.what).value * quantity.factor(point)
+
+        return np.array(x), np.array([[value(y, first, s) - value(y, second, s) for y in x] for s in seeds])
+
+
+def draw_lines(
+    data: FigureData,
+    axes: Axes,
+    points: Sequence[Point],
+    runs: Runs,
+    quantity: Quantity,
+    x: str,
+    key: str,
+    *,
+    note: str = "",
+    filled: bool = True,
+) -> None:
+    """Draw a quantity against ``x``, one line for each value of ``key``, and add it to the table of numbers.
+
+    Parameters
+    ----------
+    data : FigureData
+    axes
+        Of matplotlib.
+    points : sequence of Point
+    runs : dict
+        By point.
+    quantity : Quantity
+    x, key : str
+        ``phi``, ``Q`` or ``rate``.
+    note : str
+        Added to the name in the table, as ``φ = 0.82``.
+    filled : bool
+        Symbols, and labels in the legend.
+    """
+    from matplotlib import colormaps
+
+    values = sorted({getattr(p, key) for p in points})
+    for k, value in enumerate(values):
+        colour = colormaps["viridis"](0.9 * k / max(len(values) - 1, 1))
+        xs = sorted({getattr(p, x) for p in points if getattr(p, key) == value})
+        found = [
+            quantity.of([p for p in points if getattr(p, key) == value and getattr(p, x) == one], runs) for one in xs
+        ]
+        y, error = np.array(found).T
+        label = LABELS[key].format(value)
+        style: dict[str, Any] = {"fmt": "o-", "ms": 4, "lw": 0.8, "color": colour, "mfc": colour if filled else "white"}
+        axes.errorbar(xs, y, np.minimum(error, 0.9 * np.abs(y)), label=label if filled else None, **style)
+        for one, mean_, deviation in zip(xs, y, error, strict=True):
+            name = ", ".join(part for part in (quantity.name, note, label) if part)
+            data.page.number(name, one, mean_, deviation)
+    axes.set(xlabel=AXES[x], ylabel=quantity.symbol)
+
+
+def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
+    """Return a figure and its panels, (rows, columns)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.5 * columns, 5 * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def finish(data: FigureData, scan: Scan, figure: Figure, panels: Any) -> None:
+    """Add legends, write the picture, and note the runs."""
+    for axes in np.ravel(panels):
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False, fontsize=7)
+    data.page.tallies.append(scan.flows.tally)
+    save(figure, data.picture)
+
+
+def against_Q(scan: Scan, quantity: Quantity) -> None:
+    """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), with the runs of the bisection."""
+    shares = scan.shares()
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(1, 1)
+    axes = panels[0, 0]
+    draw_lines(scan.data, axes, scan.points(), scan.runs, quantity, "Q", "phi")
+    axes.set(xscale="log", yscale="log")
+    for phi, Qc in scan.located(shares).items():
+        axes.axvline(Qc.value, color="0.8", lw=0.8, zorder=0)
+        scan.data.page.found(f"Qc at φ = {phi:g}", *Qc, "")
+    finish(scan.data, scan, figure, panels)
+
+
+def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> None:
+    """Quantities against Q at two φ and several rates (VOT figs. 2, 5, 6, 11, 13, 14); the second of a panel is open.
+
+    Parameters
+    ----------
+    scan : Scan
+    quantities : sequence of sequences
+        Of each panel at one φ.
+    """
+    points = scan.points(scan.details, rate=sorted({scan.rate, *scan.rates}))
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(len(scan.details), len(quantities))
+    for phi, row in zip(sorted(scan.details, reverse=True), panels, strict=True):
+        for some, axes in zip(quantities, row, strict=True):
+            for k, quantity in enumerate(some):
+                here = [p for p in points if p.phi == phi]
+                draw_lines(scan.data, axes, here, scan.runs, quantity, "Q", "rate", note=f"φ = {phi:g}", filled=k == 0)
+            axes.set(xscale="log", yscale="log", title=f"φ = {phi:g}")
+    if [PRODUCT] in [list(some[1:]) for some in quantities]:
+        _compare_product(scan, points)
+    if quantities[0] == (ETA_P,):
+        _independence(scan, points)
+    finish(scan.data, scan, figure, panels)
+
+
+def _compare_product(scan: Scan, points: Sequence[Point]) -> None:
+    """Note how well Z = 2 τdur νcoll (VOT eq. 25) holds."""
+    ratios = [mean(scan.runs[p], "product").value / mean(scan.runs[p], "contacts").value for p in points]
+    scan.data.page.mean("2τdurνcoll/Z over all runs", ratios, "1")
+
+
+def _independence(scan: Scan, points: Sequence[Point]) -> None:
+    """Note the scatter of ηp over Q in the Newtonian state (Z > 1), relative to its mean."""
+    for phi in scan.details:
+        some = [p for p in points if p.phi == phi and p.rate == scan.rate and scan.runs[p].mean("contacts").value > 1]
+        Qs = sorted({p.Q for p in some})
+        if len(Qs) > 1:
+            values = [ETA_P.of([p for p in some if p.Q == Q], scan.runs) for Q in Qs]
+            v, e = np.array(values).T
+            weights = e**-2.0 if (e > 0).all() else np.ones_like(v)
+            average = float((weights * v).sum() / weights.sum())
+            chi2 = float(((v - average) ** 2 / np.where(e > 0, e, np.nan) ** 2).sum() / (len(v) - 1))
+            error = float(v.std(ddof=1) / len(v) ** 0.5)
+            remark = f"Q = {Qs[0]:g} to {Qs[-1]:g}, χ² per degree of freedom {chi2:.1f}"
+            scan.data.page.found(f"ηp_el in the Newtonian state, φ = {phi:g}", average, error, "", remark)
+
+
+def phase_diagram_CD(scan: Scan) -> None:
+    """Qc(φ), and the fit Qc = Q0 + c (φJ − φ)^−x (VOT fig. 3)."""
+    shares = scan.shares()
+    if scan.data.comm.rank:
+        return
+    page, figure_ = scan.data.page, canvas(1, 1)
+    figure, panels = figure_
+    axes = panels[0, 0]
+    found = scan.located(shares)
+    _draw_transition(scan, axes, found, "Qc")
+    for phi in scan.phis:
+        if phi in found:
+            values = [
+                [scan.runs[p].mean("pressure_elastic").value for p in _row(scan, phi, seed)] for seed in _seeds(scan)
+            ]
+            page.found(f"midpoint of the fall of P_el, φ = {phi:g}", *midpoint(scan.Qs, values), "")
+    if len(found) >= 4:
+        phi, Qc, error = np.array([(phi, *Qc) for phi, Qc in found.items()]).T
+        try:
+            fit = divergence(phi, Qc, error)
+        except InputError as problem:
+            page.found("x of Qc = Q0 + c (φJ − φ)^−x", np.nan, np.nan, "1.1 ± 0.1", str(problem))
+        else:
+            page.found("x of Qc = Q0 + c (φJ − φ)^−x", *fit.x, "1.1 ± 0.1", "φJ = 0.8433 fixed")
+            page.found("Q0", *fit.Q0, "1.2")
+            page.found("c", *fit.c, "")
+            fine = np.linspace(phi.min(), min(phi.max() + 0.01, JAMMING - 1e-3), 200)
+            axes.plot(fine, fit(fine), "-", color="0.3", lw=1, label="fit")
+    axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
+    axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
+    finish(scan.data, scan, figure, panels)
+
+
+def _seeds(scan: Scan) -> list[int]:
+    return list(scan.parameters["seeds"])
+
+
+def _row(scan: Scan, phi: float, seed: int) -> list[Point]:
+    return [p for p in scan.points([phi]) if p.seed == seed]
+
+
+def _draw_transition(scan: Scan, axes: Axes, found: dict[float, Located], name: str, paper: str = "") -> None:
+    """Draw located Q against φ, and note them."""
+    if found:
+        phi, Q, error = np.array([(phi, *Q) for phi, Q in found.items()]).T
+        axes.errorbar(phi, Q, np.nan_to_num(error), fmt="o", color="k", label=name)
+    for at, Qc in found.items():
+        scan.data.page.found(f"{name} at φ = {at:g}", *Qc, paper)
+        scan.data.page.number(name, at, *Qc)
+
+
+def collision_angles(scan: Scan) -> None:
+    """Histograms of the collision angle at making and breaking of contacts, for three Q (VOT figs. 8, 18)."""
+    shares, points = scan.shares(), scan.points(scan.details)
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    located = scan.located(shares)
+    figure, panels = canvas(1, len(scan.details))
+    angle = (np.arange(BINS) + 0.5) * 360 / BINS - 180
+    for phi, axes in zip(sorted(scan.details, reverse=True), panels[0], strict=True):
+        middle = located[phi].value if phi in located else float(np.exp(np.log(scan.Qs).mean()))
+        chosen = sorted({scan.Qs[0], min(scan.Qs, key=lambda Q: abs(np.log(Q / middle))), scan.Qs[-1]})
+        for k, Q in enumerate(chosen):
+            some = [scan.runs[p] for p in points if p.phi == phi and p.Q == Q]
+            for name, style in (("making", "-"), ("breaking", "--")):
+                counts = np.sum([run.blocks[name].sum(0) for run in some], axis=0)
+                density = counts / max(counts.sum(), 1) * BINS / 360
+                axes.plot(angle, density, style, color=f"C{k}", label=f"Q = {Q:g}, {name}")
+                for at, value in zip(angle, density, strict=True):
+                    error = float(np.sqrt(value * BINS / 360 / max(counts.sum(), 1)))
+                    scan.data.page.number(f"P(ϑ) at {name}, φ = {phi:g}, Q = {Q:g}", at, value, error)
+        axes.set(xlabel="ϑ (degrees)", ylabel="P(ϑ) per degree", yscale="log", title=f"φ = {phi:g}, Qc = {middle:.3g}")
+    finish(scan.data, scan, figure, panels)
+
+
+def tangential_collisions(scan: Scan) -> None:
+    """P(ϑ = 90°) against Q (VOT figs. 9, 19)."""
+    points = scan.points(scan.details)
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(1, len(scan.details))
+    near = np.abs(np.abs((np.arange(BINS) + 0.5) * 360 / BINS - 180) - 90) < 360 / BINS
+    for phi, axes in zip(sorted(scan.details, reverse=True), panels[0], strict=True):
+        for name, symbol in (("making", "o-"), ("breaking", "s--")):
+            values = []
+            for Q in scan.Qs:
+                each = []
+                for run in (scan.runs[p] for p in points if p.phi == phi and p.Q == Q):
+                    counts = run.blocks[name].sum(0)
+                    each.append(counts[near].mean() / max(counts.sum(), 1) * BINS / 360)
+                error = float(np.std(each, ddof=1) / len(each) ** 0.5) if len(each) > 1 else np.nan
+                values.append((float(np.mean(each)), error))
+                scan.data.page.number(f"P(90°) at {name}, φ = {phi:g}", Q, *values[-1])
+            y, error_ = np.array(values).T
+            axes.errorbar(scan.Qs, y, np.nan_to_num(error_), fmt=symbol, ms=4, lw=0.8, label=name)
+        axes.set(xscale="log", yscale="log", xlabel="$Q$", ylabel="P(ϑ = 90°) per degree", title=f"φ = {phi:g}")
+    finish(scan.data, scan, figure, panels)
+
+
+def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> None:
+    """Quantities against φ: at all Q (VOT figs. 15, 20) or, with ``rates``, at two Q and several rates (fig. 16).
+
+    Parameters
+    ----------
+    scan : Scan
+    quantities : sequence of Quantity
+        One a panel.
+    rates : bool
+    """
+    Qs = scan.parameters.points("Q_details").tolist() if rates else scan.Qs
+    points = scan.points(Q=Qs, rate=sorted({scan.rate, *scan.rates}) if rates else [])
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(len(Qs) if rates else 1, len(quantities))
+    for Q, row in zip(Qs if rates else [None], panels, strict=True):
+        here = [p for p in points if Q in (None, p.Q)]
+        for quantity, axes in zip(quantities, row, strict=True):
+            note = "" if Q is None else f"Q = {Q:g}"
+            draw_lines(scan.data, axes, here, scan.runs, quantity, "phi", "rate" if rates else "Q", note=note)
+            signed = quantity in (SPIN, SPIN_VARIANCE)
+            axes.set(yscale="linear" if signed else "log", title=note)
+            if quantity is SPIN:
+                axes.axhline(-0.5, color="0.7", lw=0.8)
+    if SPIN in quantities:
+        values = [SPIN.of([p], scan.runs).value for p in points]
+        scan.data.page.mean("⟨θ̇⟩/γ̇ over all runs", values, "−1/2")
+    finish(scan.data, scan, figure, panels)
+
+
+def contact_velocities(scan: Scan) -> None:
+    """Scatter of the components of the contact velocity, and principal axes of their covariance (VOT fig. 21)."""
+    Q = scan.parameters.points("Q_details").tolist()[:1]
+    points = scan.points(scan.details, Q)
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    names, words = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$"), ("V_T", "V^R", "V^C_T", "V_N")
+    figure, panels = canvas(3, len(scan.details))
+    for phi, column in zip(sorted(scan.details), panels.T, strict=True):
+        some = [scan.runs[p] for p in points if p.phi == phi]
+        dots = np.concatenate([run.blocks["scatter"].reshape(-1, 4) for run in some])
+        each = [_covariance([run]) for run in some]
+        centre, covariance = _covariance(some)
+        for axes, (a, b) in zip(column, ((1, 0), (1, 2), (2, 3)), strict=True):
+            axes.plot(*dots[:, [a, b]].T, ".", ms=1, alpha=0.3, rasterized=True)
+            for length, way in zip(*np.linalg.eigh(covariance[np.ix_([a, b], [a, b])]), strict=True):
+                axes.plot(*(centre[[a, b], None] + np.outer(way, [-3, 3]) * np.sqrt(max(length, 0))), "k:", lw=1)
+            axes.plot(*centre[[a, b]], "wo", mec="k", ms=6)
+            axes.set(xlabel=names[a], ylabel=names[b], title=f"φ = {phi:g}, Q = {Q[0]:g}")
+            correlations = [c[a, b] / np.sqrt(c[a, a] * c[b, b]) for _, c in each]
+            scan.data.page.mean(f"correlation of {words[b]} and {words[a]}, φ = {phi:g}", correlations, "")
+    finish(scan.data, scan, figure, panels)
+
+
+def _covariance(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """Return the mean (4,) and the covariance (4, 4) of V_T, V^R, V^C_T and V_N over the contacts of runs."""
+    count = sum(run.blocks["pairs"].sum() for run in runs)
+    first, second = (sum(run.blocks[name].sum(0) for run in runs) / count for name in ("first", "second"))
+    return first, second - np.outer(first, first)
+
+
+def differences_Q(scan: Scan) -> None:
+    """Z/γ̇ at the lowest rate minus that at the next one, against Q: Qc and Q* (VOT fig. 32)."""
+    points = scan.points(scan.details, rate=scan.low)
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(1, len(scan.details))
+    for phi, axes in zip(sorted(scan.details, reverse=True), panels[0], strict=True):
+        quantity = Quantity("", "", "contacts", lambda p: 1 / p.rate)
+        x, values = scan.differences("Q", [p for p in points if p.phi == phi], quantity)
+        _draw_differences(scan, axes, x, values, f"Z/γ̇ difference, φ = {phi:g}")
+        found = onset(x[::-1], values[:, ::-1])
+        _note(scan, f"{'Qc' if phi > 0.8 else 'Q*'} at φ = {phi:g} from Z/γ̇", found, "")
+        axes.axvline(found.value, color="0.7", lw=0.8)
+        axes.set(xlabel="$Q$", ylabel=r"$Z/\dot\gamma_1 - Z/\dot\gamma_2$", xscale="log", title=f"φ = {phi:g}")
+    finish(scan.data, scan, figure, panels)
+
+
+def differences_phi(scan: Scan) -> None:
+    """Bp^el at the lowest rate minus that at the next one, against φ: φc (VOT fig. 33)."""
+    Qs = scan.parameters.points("Q_details").tolist()
+    points = scan.points(Q=Qs, rate=scan.low)
+    scan.flows.make(points)
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(1, len(Qs))
+    for Q, axes in zip(Qs, panels[0], strict=True):
+        x, values = scan.differences("phi", [p for p in points if p.Q == Q], B_P)
+        _draw_differences(scan, axes, x, values, f"Bp_el difference, Q = {Q:g}")
+        found = onset(x, values)
+        _note(scan, f"φc at Q = {Q:g} from Bp_el", found, "0.80" if Q == 1 else "")
+        axes.axvline(found.value, color="0.7", lw=0.8)
+        axes.set(xlabel=r"$\phi$", ylabel=r"$B^{\rm el}_{p1} - B^{\rm el}_{p2}$", title=f"Q = {Q:g}")
+    finish(scan.data, scan, figure, panels)
+
+
+def _note(scan: Scan, name: str, found: Located, paper: str) -> None:
+    """Note where a difference becomes nonzero, or that it does not."""
+    first, second = scan.low
+    remark = f"γ̇ = {first:g} and {second:g}" + ("" if np.isfinite(found.value) else ": no onset")
+    scan.data.page.found(name, *found, paper, remark)
+
+
+def _draw_differences(scan: Scan, axes: Axes, x: Array, values: Array, name: str) -> None:
+    y = values.mean(0)
+    error = values.std(0, ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.full(len(y), np.nan)
+    axes.errorbar(x, y, np.nan_to_num(error), fmt="o-", ms=4, lw=0.8, color="k")
+    axes.axhline(0, color="0.7", lw=0.8)
+    for row in zip(x, y, error, strict=True):
+        scan.data.page.number(name, *row)
+
+
+def phase_diagram_CD_rot(scan: Scan) -> None:
+    """Qc(φ), φc(Q) and Q*(φ) (VOT fig. 17)."""
+    shares = scan.shares()
+    Qs = scan.parameters.points("Q_details").tolist()
+    by_Q, by_phi = scan.points(scan.details, rate=scan.low), scan.points(Q=Qs, rate=scan.low)
+    scan.flows.make([*by_Q, *by_phi])
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(1, 1)
+    axes = panels[0, 0]
+    _draw_transition(scan, axes, scan.located(shares), "Qc")
+    starred = {}
+    for phi in scan.details:
+        if phi not in scan.located(shares):
+            quantity = Quantity("", "", "contacts", lambda p: 1 / p.rate)
+            x, values = scan.differences("Q", [p for p in by_Q if p.phi == phi], quantity)
+            starred[phi] = onset(x[::-1], values[:, ::-1])
+    starred = {phi: Q for phi, Q in starred.items() if np.isfinite(Q.value)}
+    if starred:
+        phi, Q, error = np.array([(phi, *Q) for phi, Q in starred.items()]).T
+        axes.errorbar(phi, Q, np.nan_to_num(error), fmt="s", color="C1", label="Q*")
+    for phi, Q in starred.items():
+        scan.data.page.found(f"Q* at φ = {phi:g}", *Q, "")
+    for Q in Qs:
+        found = onset(*scan.differences("phi", [p for p in by_phi if p.Q == Q], B_P))
+        _note(scan, f"φc at Q = {Q:g}", found, "0.80" if Q == 1 else "")
+        axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color="C2")
+    axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
+    axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
+    finish(scan.data, scan, figure, panels)
