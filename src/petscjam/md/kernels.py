@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petscjam.base.compiled import BATCH, FAST, call, njit, prange
+from petscjam.base.compiled import BATCH, FAST, njit, prange
 from petscjam.base.types import Array
 from petscjam.geometry.neighbours import CHUNK
+from petscjam.md import contact
 from petscjam.md.engine import (
-    BINS,
     CONTACTS,
     DVX2,
     DXX,
@@ -113,30 +113,11 @@ class Scheme(NamedTuple):
     threads: bool | None
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _contact(rx, ry, ux, uy, inverse, law, exponent, absolute, dU):
-    """Return elastic force over distance, damping force on i, and 1 if they touch.
-
-    r and u are position and velocity of j against i, u at the contact point if the law rolls. The last three are
-    arguments, since numba removes the branch for a None only then.
-    """
-    near = 1.0 / np.sqrt(rx * rx + ry * ry)
-    overlap = 1.0 - (rx * rx + ry * ry) * near * inverse
-    touch = 1.0 if overlap >= 0.0 else 0.0
-    overlap *= touch
-    if dU is None:
-        spring = overlap if exponent is None else overlap ** (exponent - 1.0)
-    else:
-        unit = 1.0 if absolute is None else inverse
-        spring = call(dU, overlap / unit) if overlap > 0.0 else 0.0
-    along = (law.normal - law.tangential) * (ux * rx + uy * ry) * near * near
-    gx = touch * (law.tangential * ux + along * rx)
-    gy = touch * (law.tangential * uy + along * ry)
-    if absolute is None:
-        spring *= inverse
-    elif dU is None:
-        spring /= inverse if exponent is None else inverse ** (exponent - 1.0)
-    return spring * near, gx, gy, touch
+_contact = njit(cache=True, error_model="numpy", fastmath=FAST)(contact.contact)
+_angle_bin = njit(cache=True, error_model="numpy", fastmath=FAST)(contact.angle_bin)
+_stiffness = njit(cache=True, error_model="numpy")(contact.stiffness)
+_energy = njit(cache=True, error_model="numpy")(contact.energy)
+_fastest = njit(cache=True, error_model="numpy")(contact.fastest)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -161,10 +142,9 @@ def separation(c, q, pairs, strain, rate):
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _event(c, q, pairs, now, counts, angles):
-    """Record that pair c begins or ceases to touch; ϑ turns the velocity vij onto rij (VOT eqs. 26, 27)."""
+    """Record that pair c begins or ceases to touch."""
     x, y, vx, vy = separation(c, q, pairs, now.strain, now.rate)
-    angle = np.arctan2(vx * y - vy * x, vx * x + vy * y)  # the signs of rji and vji cancel
-    bin = min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
+    bin = _angle_bin(x, y, vx, vy)
     if pairs.touching[c]:
         counts[1] += 1
         counts[2] += now.tick - pairs.since[c]
@@ -204,7 +184,8 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
     """
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
-    rest, sums, exponent, absolute, dU = len(pairs.chunks) - 1, measured.sums, law.exponent, law.absolute, law.dU
+    rest, sums, normal, tangential = len(pairs.chunks) - 1, measured.sums, law.normal, law.tangential
+    exponent, absolute, dU = law.exponent, law.absolute, law.dU
     end = len(pairs.i) if chunk == rest else pairs.chunks[chunk + 1]
     for start in range(pairs.chunks[chunk], end, BATCH):
         n = min(BATCH, end - start)
@@ -222,7 +203,9 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute, dU)
+                spring, gx, gy, touch = _contact(
+                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, exponent, absolute, dU
+                )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c], V[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx), touch
                 exx, exy, eyy = exx + spring * x * x, exy + spring * x * y, eyy + spring * y * y
@@ -235,7 +218,9 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
             for c in range(n):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
-                spring, gx, gy, touch = _contact(x, y, ux, uy, inverse[c], law, exponent, absolute, dU)
+                spring, gx, gy, touch = _contact(
+                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, exponent, absolute, dU
+                )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx)
         for c in range(n):
@@ -554,20 +539,6 @@ def advance(disks, pairs, law, scheme, strains, rates, tick, measured):
 
 
 @njit(cache=True, error_model="numpy")
-def _stiffness(law, exponent, d2U, distance, inverse):
-    """Return k of a contact at ``distance``, in units of σ = 1/``inverse``: V″ in ke/ds² (VOT eq. 1)."""
-    k = inverse * inverse if law.absolute is None else 1.0
-    if d2U is not None:
-        unit = 1.0 if law.absolute is None else inverse
-        k *= call(d2U, (1.0 - distance) / unit)
-    elif exponent != 2.0:
-        k *= (exponent - 1.0) * (1.0 - distance) ** (exponent - 2.0)
-        if law.absolute is not None:
-            k *= inverse ** (2.0 - exponent)
-    return k
-
-
-@njit(cache=True, error_model="numpy")
 def _moments(q, pairs, law, exponent, strain):
     """Return sums over the contacts of each disk, (N, 9).
 
@@ -591,7 +562,7 @@ def _moments(q, pairs, law, exponent, strain):
         if square <= 1.0:
             a, b, sign = pairs.i[c], pairs.j[c], 1.0
             cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
-            k = _stiffness(law, exponent, law.d2U, np.sqrt(square), pairs.inverse[c])
+            k = _stiffness(np.sqrt(square), pairs.inverse[c], exponent, law.absolute, law.d2U)
             for _ in range(2):
                 w = 1.0 + z[b] / z[a]
                 s[a, 0] += w
@@ -629,27 +600,12 @@ def fastest(disks, pairs, law, exponent, strain):
     relaxation, oscillation : float
         In 1/τe, and squared in 1/τe².
     """
-    m, R, s = disks.m, disks.R, _moments(disks.q, pairs, law, exponent, strain)
-    relaxation = oscillation = 0.0
+    s, relaxation, oscillation = _moments(disks.q, pairs, law, exponent, strain), 0.0, 0.0
+    normal, tangential, rolls, body, drag = law.normal, law.tangential, law.rolls, law.body, law.rotational_drag
     for a in range(len(s)):
-        along = 0.5 * (law.normal + law.tangential) * s[a, 0] + law.body
-        along += 0.5 * abs(law.normal - law.tangential) * np.sqrt(s[a, 1] ** 2 + s[a, 2] ** 2)
-        turning = 2.0 * law.rolls * law.tangential * s[a, 8] + 2.0 * law.rotational_drag / R[a] ** 2
-        both = 8.0 * (law.rolls * law.tangential) ** 2 * (s[a, 6] ** 2 + s[a, 7] ** 2)
-        rate = 0.5 * (along + turning + np.sqrt((along - turning) ** 2 + both)) / m[a]
-        relaxation = max(relaxation, rate)
-        oscillation = max(oscillation, 0.5 * (s[a, 3] + np.sqrt(s[a, 4] ** 2 + s[a, 5] ** 2)) / m[a])
+        most = _fastest(s[a], disks.m[a], disks.R[a], normal, tangential, rolls, body, drag)
+        relaxation, oscillation = max(relaxation, most[0]), max(oscillation, most[1])
     return relaxation, oscillation
-
-
-@njit(cache=True, error_model="numpy")
-def _energy(law, exponent, U, overlap, inverse):
-    """Return U of a contact, k δ^α/α of a power (VOT eq. 1), in m ds²/τe²."""
-    if U is not None:
-        unit = 1.0 if law.absolute is None else inverse
-        return call(U, overlap / unit)
-    scale = 1.0 if law.absolute is None else inverse**-exponent
-    return scale * overlap**exponent / exponent
 
 
 @njit(cache=True, error_model="numpy")
@@ -668,7 +624,7 @@ def elastic_energy(q, pairs, law, exponent, strain):
         x, y, _, _ = separation(c, q, pairs, strain, 0.0)
         overlap = 1.0 - np.sqrt(x * x + y * y) * pairs.inverse[c]
         if overlap > 0.0:
-            energy += _energy(law, exponent, law.U, overlap, pairs.inverse[c])
+            energy += _energy(overlap, pairs.inverse[c], exponent, law.absolute, law.U)
     return energy
 
 
