@@ -6,7 +6,7 @@ are absolute, None if they are relative to σ. A potential that is no power is c
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from petscjam.base.compiled import call
 from petscjam.md.engine import BINS
@@ -94,8 +94,8 @@ def angle_bin(x, y, vx, vy):
     ----------
     x, y, vx, vy : float
     """
-    angle = np.arctan2(vx * y - vy * x, vx * x + vy * y)
-    return min(max(int((angle / np.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
+    angle = math.atan2(vx * y - vy * x, vx * x + vy * y)
+    return min(max(int((angle / math.pi + 1.0) * (BINS // 2)), 0), BINS - 1)
 
 
 def fastest(s, m, R, normal, tangential, rolls, body, rotational_drag):
@@ -110,8 +110,8 @@ def fastest(s, m, R, normal, tangential, rolls, body, rotational_drag):
         Numbers of the law.
     """
     along = 0.5 * (normal + tangential) * s[0] + body
-    along += 0.5 * abs(normal - tangential) * np.sqrt(s[1] ** 2 + s[2] ** 2)
+    along += 0.5 * abs(normal - tangential) * math.sqrt(s[1] ** 2 + s[2] ** 2)
     turning = 2.0 * rolls * tangential * s[8] + 2.0 * rotational_drag / R**2
     both = 8.0 * (rolls * tangential) ** 2 * (s[6] ** 2 + s[7] ** 2)
-    relaxation = 0.5 * (along + turning + np.sqrt((along - turning) ** 2 + both)) / m
-    return relaxation, 0.5 * (s[3] + np.sqrt(s[4] ** 2 + s[5] ** 2)) / m
+    relaxation = 0.5 * (along + turning + math.sqrt((along - turning) ** 2 + both)) / m
+    return relaxation, 0.5 * (s[3] + math.sqrt(s[4] ** 2 + s[5] ** 2)) / m

@@ -1,0 +1,693 @@
+"""The loops of the disk MD on a GPU, compiled by numba-cuda, in double precision.
+
+A run belongs to the threads of one block, or to all blocks. Thread t works on the disks t, t + threads, …: it reads
+the neighbours from ``s``, where all disks are put before each evaluation of forces, and writes only its own disks.
+Every disk has the list of all its neighbours, and sums its forces in the order of this list; a contact is seen from
+both of its disks. Sums are kept by each thread, then added in a fixed order: a run repeats bit for bit.
+
+Axes: run, i disk, c place in the list of a disk, t thread; of q and s: x, y, vx, vy, w = Rθ̇ (see kernels.py).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numba
+from numba import cuda, float32, float64
+
+from petscjam.md import contact as laws
+from petscjam.md.engine import (
+    DXX,
+    DXY,
+    DYX,
+    DYY,
+    EXX,
+    EXY,
+    EYY,
+    HEAT,
+    JUMPS,
+    KXX,
+    KXY,
+    KYY,
+    SUMS,
+    TICKS,
+    TOUCHING,
+    WORK,
+)
+
+SIMULATED = bool(numba.config.ENABLE_CUDASIM)
+# Numbers of a run
+NUMBERS = 10
+(LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(NUMBERS)
+# Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
+# rate, tick of the start, columns and rows of cells, and whether contacts are those of the lists or of ``open``.
+ORDERS = 7
+(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER) = range(ORDERS)
+# Results of a launch: parts of steps made, lists made, parts of a step that the contacts require, and how it ended.
+DONE = 4
+(MADE, BUILDS, DEMAND, STATUS) = range(DONE)
+(FINE, WIDEN, FULL, CROWDED, LOST, DIVERGED) = range(6)
+# Sums of a state, after SUMS: elastic and rotational energy; over contacts vN², vT², their number, and the sums and
+# products of V_T, V^R, V^C_T, V_N; then these four of one contact.
+LOOKED = SUMS + 23
+(ELASTIC, ROTATIONAL, SQUARES, SQUARES_T, NUMBER, FIRST, SECOND, ONE) = (*range(SUMS, SUMS + 6), SUMS + 9, SUMS + 19)
+MASK, IMAGES = (1 << 26) - 1, 26  # a neighbour and its image, in one integer
+CENTRE = 12
+NONE = (1 << 62) - 1
+
+
+class Runs(NamedTuple):
+    """Arrays on the card; the first axis is the run, except of ``open`` and ``began``.
+
+    Attributes
+    ----------
+    q, F, R, m, home : (5 N,), (3 N,), (N,), (N,), (2 N,)
+        State, forces, radii, masses, and positions at the last build.
+    code, inverse, gap, since : (K, N)
+        The list: neighbour and image, 1/(Ri + Rj), r²/(Ri + Rj)² at the build, tick of the contact.
+    count, bits, z : (N,)
+        Neighbours, those that touch as a binary number, and contacts.
+    open, began, held : (K, runs, N), (K, runs, N), (N,)
+        Disks in contact at a build, ticks of these contacts, and their number.
+    filled, members : (cells,), (capacity, cells)
+        Disks in each cell.
+    built : (3,)
+        Bounds of the eigenvalues, and whole cells of strain that are left out, at the last build.
+    state : (2,)
+        How the launch ends, and the last check at which a disk had moved too far.
+    angles, duration : (2, BINS), (1,)
+        Events since the run began.
+    numbers, orders, done : (NUMBERS,), (ORDERS,), (DONE,)
+    s : (10 N,)
+        State that the forces are computed from, if it is not in shared memory.
+    part, key : (LOOKED, threads), (threads,)
+    sums, keys : (blocks, LOOKED), (blocks,)
+    """
+
+    q: Any
+    F: Any
+    R: Any
+    m: Any
+    home: Any
+    code: Any
+    inverse: Any
+    gap: Any
+    since: Any
+    count: Any
+    bits: Any
+    z: Any
+    open: Any
+    began: Any
+    held: Any
+    filled: Any
+    members: Any
+    built: Any
+    state: Any
+    angles: Any
+    duration: Any
+    numbers: Any
+    orders: Any
+    done: Any
+    s: Any
+    part: Any
+    key: Any
+    sums: Any
+    keys: Any
+
+
+class Law(NamedTuple):
+    """Friction coefficients, and whether disks roll."""
+
+    normal: float
+    tangential: float
+    rolls: float
+    body: float
+    drag: float
+
+
+class Cell(NamedTuple):
+    """Edges, shift and velocity of the row of images above, and γ̇."""
+
+    Lx: float
+    Ly: float
+    slip: float
+    slide: float
+    rate: float
+
+
+class Lists(NamedTuple):
+    """The lists of one run."""
+
+    code: Any
+    inverse: Any
+    since: Any
+    count: Any
+    bits: Any
+
+
+if SIMULATED:
+
+    def rsqrt(x):
+        """Return 1/√x."""
+        return 1.0 / math.sqrt(x)
+
+    LIMITS: dict[str, Any] = {}
+    INLINE: dict[str, Any] = {}
+else:
+    from numba.cuda import libdevice
+
+    rsqrt = libdevice.rsqrt
+    LIMITS = {"max_registers": 64}  # 1024 threads of a block share 65 536
+    INLINE = {"forceinline": True}
+
+
+def device(function):
+    """Compile a function for the card, inside its callers."""
+    return cuda.jit(device=True, **INLINE)(function)
+
+
+@device
+def cell_of(numbers, strain, turns, rate):
+    """Return the cell at a strain; ``turns`` whole cells are left out."""
+    return Cell(numbers[LX], numbers[LY], strain * numbers[LY] - turns * numbers[LX], rate * numbers[LY], rate)
+
+
+@device
+def lists_of(runs, run):
+    """Return the lists of a run."""
+    return Lists(runs.code[run], runs.inverse[run], runs.since[run], runs.count[run], runs.bits[run])
+
+
+@device
+def separation(code, a, j, s, at, n, cell):
+    """Return rji, vji with the image of j."""
+    x, y = s[at + j] - s[at + a], s[at + n + j] - s[at + n + a]
+    u, v = s[at + 2 * n + j] - s[at + 2 * n + a], s[at + 3 * n + j] - s[at + 3 * n + a]
+    image = code >> IMAGES
+    if image != CENTRE:
+        up = image // 8 - 1
+        x += (image % 8 - 4) * cell.Lx + up * cell.slip
+        y += up * cell.Ly
+        u += up * cell.slide
+    return x, y, u, v
+
+
+@cache
+def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
+    """Return the kernels ``advance`` and ``look``.
+
+    Parameters
+    ----------
+    integrator : str
+    potential : Potential
+    wide : bool
+        One run by all blocks, with barriers across the grid; otherwise one run by each block.
+    """
+    alpha, absolute = potential.exponent, None if potential.relative else 1.0
+    exponent = None if alpha == 2 else alpha
+    heun, single = integrator == "heun", integrator == "single"
+    dU, d2U, U = (None, None, None) if alpha else (1, 2, 0)
+    power = alpha or 1.0
+
+    if alpha:
+        call = None
+    else:
+        call_U, call_dU, call_d2U = (device(f) for f in (potential.U, potential.dU, potential.d2U))
+
+        @device
+        def call(which, x):
+            if which == 0:
+                return 1.0 * call_U(x)
+            if which == 1:
+                return 1.0 * call_dU(x)
+            return 1.0 * call_d2U(x)
+
+    def law_of(function):
+        return device(FunctionType(function.__code__, {**function.__globals__, "call": call}))
+
+    contact, stiffness, energy = law_of(laws.contact), law_of(laws.stiffness), law_of(laws.energy)
+    angle_bin, fastest = law_of(laws.angle_bin), law_of(laws.fastest)
+
+    if wide:
+
+        @device
+        def barrier():
+            cuda.cg.this_grid().sync()
+    else:
+
+        @device
+        def barrier():
+            cuda.syncthreads()
+
+    @device
+    def event(c, a, j, x, y, u, v, touch, lists, tick, angles):
+        """Record that a contact begins or ceases; return its duration. Only the first of both disks counts it."""
+        duration = 0
+        if touch:
+            lists.since[c, a] = tick
+        if a < j:
+            if not touch:
+                duration = tick - lists.since[c, a]
+            cuda.atomic.add(angles, (0 if touch else 1, angle_bin(x, y, u, v)), 1)
+        return duration
+
+    @device
+    def force(a, s, at, n, R, lists, law, cell, tick, measure, angles):
+        """Return force and torque on disk a; with ``measure`` its share of the sums, and record events."""
+        x, y, u, v, w = s[at + a], s[at + n + a], s[at + 2 * n + a], s[at + 3 * n + a], s[at + 4 * n + a]
+        fx = fy = ft = exx = exy = eyy = dxx = dxy = dyx = dyy = heat = couple = 0.0
+        touching = duration = 0
+        before = lists.bits[a]
+        now = before
+        for c in range(lists.count[a]):
+            code = lists.code[c, a]
+            j, image, i1 = code & MASK, code >> IMAGES, lists.inverse[c, a]
+            rx, ry = s[at + j] - x, s[at + n + j] - y
+            up = 0
+            if image != CENTRE:
+                up = image // 8 - 1
+                rx += (image % 8 - 4) * cell.Lx + up * cell.slip
+                ry += up * cell.Ly
+            r2 = rx * rx + ry * ry
+            touch, touched = r2 * i1 * i1 <= 1.0, (before >> c) & 1 == 1
+            if touch or (measure and touched):
+                vx, vy = s[at + 2 * n + j] - u + up * cell.slide, s[at + 3 * n + j] - v
+                if touch:
+                    turn = law.rolls * (w + s[at + 4 * n + j]) * i1
+                    ux, uy = vx + turn * ry, vy - turn * rx
+                    spring, gx, gy, _ = contact(
+                        rx, ry, ux, uy, rsqrt(r2), i1, law.normal, law.tangential, exponent, absolute, dU
+                    )
+                    fx += gx - spring * rx
+                    fy += gy - spring * ry
+                    ft += 2.0 * law.rolls * i1 * (rx * gy - ry * gx)
+                    if measure:
+                        exx += spring * rx * rx
+                        exy += spring * rx * ry
+                        eyy += spring * ry * ry
+                        dxx -= gx * rx
+                        dxy -= gx * ry
+                        dyx -= gy * rx
+                        dyy -= gy * ry
+                        heat += gx * ux + gy * uy
+                        touching += 1
+                if measure and touch != touched:
+                    now ^= 1 << c
+                    duration += event(c, a, j, rx, ry, vx, vy, touch, lists, tick, angles)
+        if now != before:
+            lists.bits[a] = now
+        heat *= 0.5
+        if law.body != 0.0 or law.drag != 0.0:
+            cx, cy, spin = u - cell.rate * y, v, w / R[a] + 0.5 * cell.rate
+            fx -= law.body * cx
+            fy -= law.body * cy
+            ft -= 2.0 * law.drag * spin / R[a]
+            heat += law.body * (cx * cx + cy * cy) + law.drag * spin * spin
+            couple = 0.5 * cell.rate * law.drag * spin
+        return (
+            (fx, fy, ft),
+            (0.5 * exx, 0.5 * exy, 0.5 * eyy, 0.5 * dxx, 0.5 * dxy, 0.5 * dyx, 0.5 * dyy, 0.5 * touching, heat, couple),
+            duration,
+        )
+
+    @device
+    def to_cells(runs, run, first, threads, strain, rate, turns):
+        """Wrap the disks, remember their contacts, and put them into cells."""
+        q, home, lists = runs.q[run], runs.home[run], lists_of(runs, run)
+        filled, members = runs.filled[run], runs.members[run]
+        numbers, orders, n = runs.numbers[run], runs.orders[run], runs.R.shape[1]
+        cell, columns, rows = cell_of(numbers, strain, turns, rate), orders[COLUMNS], orders[ROWS]
+        for c in range(first, columns * rows, threads):
+            filled[c] = 0
+        if first == 0:
+            runs.built[run, 0] = runs.built[run, 1] = 0.0
+            runs.built[run, 2] = turns
+        for a in range(first, n, threads):
+            x, y = q[a], q[n + a]
+            if not abs(x) + abs(y) < 1e15:
+                runs.state[run, 0] = DIVERGED
+                x = y = 0.0
+            row = math.floor(y / cell.Ly)
+            y -= row * cell.Ly
+            x -= row * cell.slip
+            x -= math.floor(x / cell.Lx) * cell.Lx
+            q[a] = home[a] = x
+            q[n + a] = home[n + a] = y
+            q[2 * n + a] -= row * cell.slide
+            if orders[GATHER] == 1:
+                held = 0
+                for c in range(lists.count[a]):
+                    if (lists.bits[a] >> c) & 1:
+                        runs.open[held, run, a] = lists.code[c, a] & MASK
+                        runs.began[held, run, a] = lists.since[c, a]
+                        held += 1
+                runs.held[run, a] = held
+        barrier()
+        for a in range(first, n, threads):
+            column = min(max(int(q[a] / cell.Lx * columns), 0), columns - 1)
+            there = min(max(int(q[n + a] / cell.Ly * rows), 0), rows - 1) * columns + column
+            place = cuda.atomic.add(filled, there, 1)
+            if place < members.shape[0]:
+                members[place, there] = a
+            else:
+                runs.state[run, 0] = CROWDED
+        barrier()
+
+    @device
+    def list_neighbours(a, runs, run, cell):
+        """List the neighbours of disk a by their gap, and mark those in contact."""
+        q, R, lists, gap = runs.q[run], runs.R[run], lists_of(runs, run), runs.gap[run]
+        filled, members = runs.filled[run], runs.members[run]
+        n, columns, rows = len(R), runs.orders[run, COLUMNS], runs.orders[run, ROWS]
+        x, y, reach = q[a], q[n + a], R[a] + runs.numbers[run, SKIN]
+        home = min(max(int(y / cell.Ly * rows), 0), rows - 1)
+        found = z = 0
+        for row in range(home - 1, home + 2):
+            up = row // rows
+            column = math.floor((x - up * cell.slip) / cell.Lx * columns)
+            for side in range(column - 1, column + 2):
+                right = side // columns
+                there = (row - up * rows) * columns + side - right * columns
+                for k in range(min(filled[there], members.shape[0])):
+                    j = members[k, there]
+                    dx, dy = q[j] - x + right * cell.Lx + up * cell.slip, q[n + j] - y + up * cell.Ly
+                    if j != a and dx * dx + dy * dy <= (reach + R[j]) ** 2:
+                        if found == lists.code.shape[0]:
+                            runs.state[run, 0] = FULL
+                            break
+                        inverse = 1.0 / (R[a] + R[j])
+                        ratio = (dx * dx + dy * dy) * inverse * inverse
+                        z += 1 if ratio <= 1.0 else 0
+                        code, short = j | ((8 * (up + 1) + right + 4) << IMAGES), float32(ratio)
+                        c = found
+                        while c > 0 and (gap[c - 1, a], lists.code[c - 1, a]) > (short, code):
+                            lists.code[c, a], lists.inverse[c, a] = lists.code[c - 1, a], lists.inverse[c - 1, a]
+                            gap[c, a] = gap[c - 1, a]
+                            c -= 1
+                        lists.code[c, a], lists.inverse[c, a], gap[c, a] = code, inverse, short
+                        found += 1
+        bits = 0
+        for k in range(runs.held[run, a]):
+            c = 0
+            while c < found and lists.code[c, a] & MASK != runs.open[k, run, a]:
+                c += 1
+            if c < found:
+                bits |= 1 << c
+                lists.since[c, a] = runs.began[k, run, a]
+            elif found < lists.code.shape[0]:
+                runs.state[run, 0] = LOST
+        lists.count[a], lists.bits[a], runs.z[run, a] = found, bits, z
+
+    @device
+    def bounds(a, runs, run, law, cell):
+        """Return the bounds of disk a for the eigenvalues of M⁻¹B and M⁻¹K (:func:`petscjam.md.contact.fastest`)."""
+        q, z, lists, n = runs.q[run], runs.z[run], lists_of(runs, run), runs.R.shape[1]
+        s = cuda.local.array(9, float64)
+        for k in range(9):
+            s[k] = 0.0
+        for c in range(lists.count[a]):
+            j, inverse = lists.code[c, a] & MASK, lists.inverse[c, a]
+            x, y, _, _ = separation(lists.code[c, a], a, j, q, 0, n, cell)
+            x *= inverse
+            y *= inverse
+            square = x * x + y * y
+            if square <= 1.0 and z[a] > 0:
+                w = 1.0 + z[j] / z[a]
+                k = w * stiffness(math.sqrt(square), inverse, power, absolute, d2U)
+                cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
+                s[0] += w
+                s[1] += w * cos
+                s[2] += w * sin
+                s[3] += k
+                s[4] += k * cos
+                s[5] += k * sin
+                s[6] += w * x
+                s[7] += w * y
+                s[8] += w * square
+        return fastest(s, runs.m[run, a], runs.R[run, a], law.normal, law.tangential, law.rolls, law.body, law.drag)
+
+    @device
+    def demand(relaxation, oscillation, dt):
+        """Return the parts of a step that are needed for stability (:func:`petscjam.md.model.stable_step`)."""
+        if heun:
+            largest = min(2.0 / relaxation if relaxation > 0.0 else math.inf, math.inf)
+            if oscillation > 0.0:
+                largest = min(largest, math.sqrt(3.0 / oscillation))
+        else:
+            both = relaxation + math.sqrt(relaxation * relaxation + oscillation)
+            largest = 2.0 / both if both > 0.0 else math.inf
+        parts = 1
+        while dt > parts * largest and parts <= TICKS:
+            parts *= 2
+        return parts
+
+    @device
+    def build(runs, run, first, threads, law, strain, rate):
+        """List the neighbours of all disks; return the whole cells of strain that are left out, and parts needed."""
+        turns = math.floor(strain * runs.numbers[run, LY] / runs.numbers[run, LX] + 0.5)
+        to_cells(runs, run, first, threads, strain, rate, turns)
+        cell, n = cell_of(runs.numbers[run], strain, turns, rate), runs.R.shape[1]
+        for a in range(first, n, threads):
+            list_neighbours(a, runs, run, cell)
+        barrier()
+        relaxation = oscillation = 0.0
+        for a in range(first, n, threads):
+            one, two = bounds(a, runs, run, law, cell)
+            relaxation, oscillation = max(relaxation, one), max(oscillation, two)
+        if relaxation > runs.built[run, 0]:
+            cuda.atomic.max(runs.built, (run, 0), relaxation)
+        if oscillation > runs.built[run, 1]:
+            cuda.atomic.max(runs.built, (run, 1), oscillation)
+        barrier()
+        dt = runs.numbers[run, DT] * runs.orders[run, PARTS]
+        return turns, demand(runs.built[run, 0], runs.built[run, 1], dt)
+
+    @device
+    def jump(a, q, m, n, Ly, old, new, bulk):
+        """Change the strain rate for disk a; return the change of its energy (:func:`petscjam.md.kernels.jump`)."""
+        y, gain = q[n + a], 0.0
+        x, v, w = q[2 * n + a] - old * y, q[3 * n + a], q[4 * n + a]
+        gain -= m[a] * (0.5 * (x * x + v * v) + 0.25 * w * w)
+        if bulk == 1:
+            factor = new / old
+            q[2 * n + a] *= factor
+            q[3 * n + a] *= factor
+            q[4 * n + a] *= factor
+        elif bulk == 2:
+            q[2 * n + a] += (new - old) * y
+        else:
+            q[2 * n + a] += (new - old) * Ly * math.floor(y / Ly)
+        x, v, w = q[2 * n + a] - new * y, q[3 * n + a], q[4 * n + a]
+        return gain + m[a] * (0.5 * (x * x + v * v) + 0.25 * w * w)
+
+    @device
+    def add_up(runs, run, thread, names):
+        """Add the sums of the threads of a block, in their order."""
+        cuda.syncthreads()
+        block, start = (cuda.blockIdx.x if wide else 0), thread - cuda.threadIdx.x
+        for name in range(cuda.threadIdx.x, names, cuda.blockDim.x):
+            total = 0.0
+            for t in range(start, start + cuda.blockDim.x):
+                total += runs.part[run, name, t]
+            runs.sums[run, block, name] = total
+
+    @cuda.jit(**LIMITS)
+    def advance(runs, strains, rates):
+        """Make parts of steps; (runs, K + 1) strains at their beginnings and the end, and rates before and in them."""
+        run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+        if wide:
+            run, first, threads = 0, cuda.grid(1), cuda.gridsize(1)
+        numbers, orders = runs.numbers[run], runs.orders[run]
+        if orders[END] < 0:
+            return
+        s = runs.s[run] if wide else cuda.shared.array(0, float64)
+        q, F, R, m, home, lists, angles = (
+            runs.q[run], runs.F[run], runs.R[run], runs.m[run], runs.home[run], lists_of(runs, run), runs.angles[run]
+        )
+        law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
+        n, dt, parts, ticks = len(R), numbers[DT], orders[PARTS], TICKS // orders[PARTS]
+        exx = exy = eyy = dxx = dxy = dyx = dyy = touching = heat = kxx = kxy = kyy = work = jumps = 0.0
+        duration = k = builds = turn = at = 0
+        begun, end, needed, turns, built, old = -1, orders[END], parts, 0.0, strains[run, 0], rates[run, 0]
+        stale, fresh, counted, status = True, True, False, FINE
+        while True:
+            if stale:
+                built = strains[run, k]
+                turns, needed = build(runs, run, first, threads, law, built, old)
+                builds += 1
+                status = runs.state[run, 0]
+                end = orders[END] if needed == parts else (k + parts - 1) // parts * parts
+                stale, fresh, begun = False, True, k
+            if status != FINE or k >= end:
+                break
+            rate, tick = rates[run, k + 1], orders[TICK] + k * ticks
+            changed, change = rate != old, rate - old
+            cell = cell_of(numbers, strains[run, k], turns, rate)
+            if heun or fresh or changed:
+                if wide:
+                    at = 5 * n - at
+                else:
+                    barrier()
+                for a in range(first, n, threads):
+                    if changed:
+                        jumps += jump(a, q, m, n, cell.Ly, old, rate, orders[BULK])
+                    for x in range(5):
+                        s[at + x * n + a] = q[x * n + a]
+                barrier()
+                measure = changed or (heun and not counted)
+                for a in range(first, n, threads):
+                    f, e, long = force(a, s, at, n, R, lists, law, cell, tick, measure, angles)
+                    F[a], F[n + a], F[2 * n + a] = f
+                    duration += long
+                    if changed:
+                        cx, cy = q[2 * n + a] - rate * q[n + a], q[3 * n + a]
+                        work += (0.5 if heun else -0.5) * change * (e[1] + e[4] + m[a] * cx * cy)
+                    if heun and measure:
+                        exx, exy, eyy = exx + e[0], exy + e[1], eyy + e[2]
+                        dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
+                        touching, heat, work = touching + e[7], heat + e[8], work + e[9] - rate * (e[1] + e[4])
+                old, fresh = rate, False
+            cell = cell_of(numbers, strains[run, k + 1], turns, rate)
+            shear = strains[run, k + 1] - built
+            room = numbers[SKIN] - numbers[REACH] * (math.sqrt(1.0 + 0.25 * shear * shear) + 0.5 * abs(shear) - 1.0)
+            room = max(0.5 * room, 0.0)
+            if wide:
+                at = 5 * n - at
+            else:
+                barrier()
+            half = 0.0 if heun else 0.5 * dt
+            for a in range(first, n, threads):
+                gain, u, v = dt / m[a], q[2 * n + a], q[3 * n + a]
+                x, y = q[a] + dt * u + half * gain * F[a], q[n + a] + dt * v + half * gain * F[n + a]
+                s[at + a], s[at + n + a] = x, y
+                s[at + 2 * n + a], s[at + 3 * n + a] = u + gain * F[a], v + gain * F[n + a]
+                s[at + 4 * n + a] = q[4 * n + a] + gain * F[2 * n + a]
+                if heun and not counted:
+                    cx = u - rate * q[n + a]
+                    kxx, kxy, kyy = kxx + m[a] * cx * cx, kxy + m[a] * cx * v, kyy + m[a] * v * v
+                    work -= rate * m[a] * cx * v
+                dx, dy = x - shear * y - home[a], y - home[n + a]
+                if dx * dx + dy * dy > room * room:
+                    runs.state[run, 1] = turn
+            barrier()
+            counted, turn = True, turn + 1
+            if room == 0.0 or runs.state[run, 1] == turn - 1:
+                if begun == k:
+                    status = WIDEN
+                    break
+                stale = True
+                continue
+            for a in range(first, n, threads):
+                f, e, long = force(a, s, at, n, R, lists, law, cell, tick, single, angles)
+                h, u, v = 0.5 * dt / m[a], s[at + 2 * n + a], s[at + 3 * n + a]
+                if heun:
+                    u = q[2 * n + a] + h * (F[a] + f[0])
+                    v = q[3 * n + a] + h * (F[n + a] + f[1])
+                    q[a] += 0.5 * dt * (q[2 * n + a] + u)
+                    q[n + a] += 0.5 * dt * (q[3 * n + a] + v)
+                    q[2 * n + a], q[3 * n + a] = u, v
+                    q[4 * n + a] += h * (F[2 * n + a] + f[2])
+                else:
+                    duration += long
+                    x, y, w = s[at + a], s[at + n + a], s[at + 4 * n + a]
+                    exx, exy, eyy = exx + e[0], exy + e[1], eyy + e[2]
+                    dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
+                    cx = u - rate * y
+                    kxx, kxy, kyy = kxx + m[a] * cx * cx, kxy + m[a] * cx * v, kyy + m[a] * v * v
+                    touching, heat = touching + e[7], heat + e[8]
+                    work += e[9] - rate * (e[1] + e[4] + m[a] * cx * v)
+                    q[a], q[n + a], q[2 * n + a] = x, y, 0.5 * (q[2 * n + a] + u) + h * f[0]
+                    q[3 * n + a] = 0.5 * (q[3 * n + a] + v) + h * f[1]
+                    q[4 * n + a] = 0.5 * (q[4 * n + a] + w) + h * f[2]
+                    F[a], F[n + a], F[2 * n + a] = f
+            k, counted = k + 1, False
+        part = runs.part[run]
+        part[EXX, first], part[EXY, first], part[EYY, first] = exx, exy, eyy
+        part[DXX, first], part[DXY, first], part[DYX, first], part[DYY, first] = dxx, dxy, dyx, dyy
+        part[TOUCHING, first], part[HEAT, first] = touching, heat
+        part[KXX, first], part[KXY, first], part[KYY, first] = kxx, kxy, kyy
+        part[WORK, first], part[JUMPS, first] = work, jumps
+        if duration != 0:
+            cuda.atomic.add(runs.duration, (run, 0), duration)
+        add_up(runs, run, first, SUMS)
+        if first == 0:
+            runs.done[run, MADE], runs.done[run, BUILDS] = k, builds
+            runs.done[run, DEMAND], runs.done[run, STATUS] = needed, status
+
+    @cuda.jit(**LIMITS)
+    def look(runs, strains, rates):
+        """Sum what a sample, the energy and, with END = 1, the trapezoidal rule need of the current state."""
+        run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+        if wide:
+            run, first, threads = 0, cuda.grid(1), cuda.gridsize(1)
+        numbers, orders, part = runs.numbers[run], runs.orders[run], runs.part[run]
+        if orders[END] < 0:
+            return
+        q, R, m, lists, rate = runs.q[run], runs.R[run], runs.m[run], lists_of(runs, run), rates[run, 0]
+        law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
+        cell, n, tick = cell_of(numbers, strains[run, 0], runs.built[run, 2], rate), len(R), orders[TICK]
+        sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
+        for k in range(LOOKED):
+            sums[k] = 0.0
+        for a in range(first, n, threads):
+            for c in range(lists.count[a]):
+                code, inverse = lists.code[c, a], lists.inverse[c, a]
+                j = code & MASK
+                if a > j:
+                    continue
+                x, y, ux, uy = separation(code, a, j, q, 0, n, cell)
+                r = math.sqrt(x * x + y * y)
+                if r * inverse < 1.0:
+                    sums[ELASTIC] += energy(1.0 - r * inverse, inverse, power, absolute, U)
+                if (lists.bits[a] >> c) & 1:
+                    v[0] = (ux * y - uy * x) / r
+                    v[1] = (q[4 * n + a] + q[4 * n + j]) * r * inverse
+                    v[2] = v[0] + v[1]
+                    v[3] = -(ux * x + uy * y) / r
+                    sums[SQUARES] += v[3] * v[3]
+                    sums[SQUARES_T] += v[0] * v[0]
+                    sums[NUMBER] += 1.0
+                    if rate != 0.0:
+                        place = SECOND
+                        for k in range(4):
+                            v[k] /= rate
+                            sums[FIRST + k] += v[k]
+                            for i in range(k + 1):
+                                sums[place] += v[k] * v[i]
+                                place += 1
+                        key = (a * 7919 + j * 104729 + tick // TICKS % 1048576 * 1299709) % 2147483647
+                        key = key * 48271 % 2147483647 * 48271 % 2147483647 * 2147483648 + 64 * a + c
+                        if key < least:
+                            least = key
+                            for k in range(4):
+                                sums[ONE + k] = v[k]
+            w = q[4 * n + a]
+            sums[ROTATIONAL] += 0.25 * m[a] * w * w
+            cx, cy = q[2 * n + a] - rate * q[n + a], q[3 * n + a]
+            sums[KXX] += m[a] * cx * cx
+            sums[KXY] += m[a] * cx * cy
+            sums[KYY] += m[a] * cy * cy
+            if orders[END] == 1:
+                _, e, long = force(a, q, 0, n, R, lists, law, cell, tick, True, runs.angles[run])
+                for k in range(HEAT + 1):
+                    sums[k] += e[k]
+                sums[WORK] += e[9] - rate * (e[1] + e[4] + m[a] * cx * cy)
+                if long != 0:
+                    cuda.atomic.add(runs.duration, (run, 0), long)
+        for k in range(LOOKED):
+            part[k, first] = sums[k]
+        runs.key[run, first] = least
+        add_up(runs, run, first, ONE)
+        if cuda.threadIdx.x == 0:
+            block, best = (cuda.blockIdx.x if wide else 0), first
+            for t in range(first, first + cuda.blockDim.x):
+                if runs.key[run, t] < runs.key[run, best]:
+                    best = t
+            runs.keys[run, block] = runs.key[run, best]
+            for k in range(4):
+                runs.sums[run, block, ONE + k] = part[ONE + k, best]
+
+    return advance, look
