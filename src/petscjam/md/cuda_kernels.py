@@ -11,6 +11,7 @@ Axes: run, i disk, c place in the list of a disk, t thread; of q and s: x, y, vx
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from functools import cache
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from numba import cuda, float32, float64
 
 from petscjam.md import contact as laws
 from petscjam.md.engine import (
+    BINS,
     DXX,
     DXY,
     DYX,
@@ -40,15 +42,13 @@ from petscjam.md.engine import (
 
 SIMULATED = bool(numba.config.ENABLE_CUDASIM)
 # Numbers of a run
-NUMBERS = 10
-(LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(NUMBERS)
+(LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
 # Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
-# rate, tick of the start, columns and rows of cells, and whether contacts are those of the lists or of ``open``.
-ORDERS = 7
-(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER) = range(ORDERS)
-# Results of a launch: parts of steps made, lists made, parts of a step that the contacts require, and how it ended.
-DONE = 4
-(MADE, BUILDS, DEMAND, STATUS) = range(DONE)
+# rate, tick of the start, columns and rows of cells, and whether contacts are those of the lists (1) or of ``open``.
+(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER) = range(7)
+# Results of a launch: parts of steps made, lists made, parts of steps before the last of them, parts of a step that the
+# contacts require, whether the rate of the next part has begun, and how the launch ended.
+(MADE, BUILDS, BEGUN, DEMAND, CHANGED, STATUS) = range(6)
 (FINE, WIDEN, FULL, CROWDED, LOST, DIVERGED) = range(6)
 # Sums of a state, after SUMS: elastic and rotational energy; over contacts vN², vT², their number, and the sums and
 # products of V_T, V^R, V^C_T, V_N; then these four of one contact.
@@ -57,65 +57,28 @@ LOOKED = SUMS + 23
 MASK, IMAGES = (1 << 26) - 1, 26  # a neighbour and its image, in one integer
 CENTRE = 12
 NONE = (1 << 62) - 1
-
-
-class Runs(NamedTuple):
-    """Arrays on the card; the first axis is the run, except of ``open`` and ``began``.
-
-    Attributes
-    ----------
-    q, F, R, m, home : (5 N,), (3 N,), (N,), (N,), (2 N,)
-        State, forces, radii, masses, and positions at the last build.
-    code, inverse, gap, since : (K, N)
-        The list: neighbour and image, 1/(Ri + Rj), r²/(Ri + Rj)² at the build, tick of the contact.
-    count, bits, z : (N,)
-        Neighbours, those that touch as a binary number, and contacts.
-    open, began, held : (K, runs, N), (K, runs, N), (N,)
-        Disks in contact at a build, ticks of these contacts, and their number.
-    filled, members : (cells,), (capacity, cells)
-        Disks in each cell.
-    built : (3,)
-        Bounds of the eigenvalues, and whole cells of strain that are left out, at the last build.
-    state : (2,)
-        How the launch ends, and the last check at which a disk had moved too far.
-    angles, duration : (2, BINS), (1,)
-        Events since the run began.
-    numbers, orders, done : (NUMBERS,), (ORDERS,), (DONE,)
-    s : (10 N,)
-        State that the forces are computed from, if it is not in shared memory.
-    part, key : (LOOKED, threads), (threads,)
-    sums, keys : (blocks, LOOKED), (blocks,)
-    """
-
-    q: Any
-    F: Any
-    R: Any
-    m: Any
-    home: Any
-    code: Any
-    inverse: Any
-    gap: Any
-    since: Any
-    count: Any
-    bits: Any
-    z: Any
-    open: Any
-    began: Any
-    held: Any
-    filled: Any
-    members: Any
-    built: Any
-    state: Any
-    angles: Any
-    duration: Any
-    numbers: Any
-    orders: Any
-    done: Any
-    s: Any
-    part: Any
-    key: Any
-    sums: Any
-    keys: Any
+# Arrays on the card, by type, with their axes: R runs, N disks, K places of a list, M cells, C places of a cell,
+# T threads and B blocks of a run. q, F, home: state, forces, and positions at the last build. The list: code (neighbour
+# and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of the contact); count neighbours, of
+# which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these contacts, their number.
+# filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain left out, at the last
+# build. state: how the launch ends, and the last check at which a disk had moved too far. angles, duration: events since
+# the run began. course: strains at the beginnings of parts and at the end, and rates before and in them. s: what forces
+# are computed from, if it is not in shared memory.
+AXES = {
+    "f8": f"q: R 5N, F: R 3N, R: R N, m: R N, home: R 2N, inverse: R K N, built: R 3, numbers: R 10, course: R 2 L, "
+    f"s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
+    "f4": "gap: R K N",
+    "i8": f"since: R K N, bits: R N, began: K R N, angles: R 2 {BINS}, duration: R 1, orders: R 7, done: R 6, "
+    "key: R T, keys: R B",
+    "i4": "code: R K N, count: R N, z: R N, open: K R N, held: R N, filled: R M, members: R C M, state: R 2",
+}
+SHAPES = {
+    name: (kind, axes.split())
+    for kind, text in AXES.items()
+    for name, axes in (item.split(": ") for item in text.split(", "))
+}
+Runs = namedtuple("Runs", SHAPES)
 
 
 class Law(NamedTuple):
@@ -495,37 +458,44 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             runs.sums[run, block, name] = total
 
     @cuda.jit(**LIMITS)
-    def advance(runs, strains, rates):
-        """Make parts of steps; (runs, K + 1) strains at their beginnings and the end, and rates before and in them."""
+    def advance(runs):
+        """Make parts of steps."""
         run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
         if wide:
             run, first, threads = 0, cuda.grid(1), cuda.gridsize(1)
         numbers, orders = runs.numbers[run], runs.orders[run]
         if orders[END] < 0:
             return
+        strains, rates = runs.course[run, 0], runs.course[run, 1]
         s = runs.s[run] if wide else cuda.shared.array(0, float64)
         q, F, R, m, home, lists, angles = (
-            runs.q[run], runs.F[run], runs.R[run], runs.m[run], runs.home[run], lists_of(runs, run), runs.angles[run]
+            runs.q[run],
+            runs.F[run],
+            runs.R[run],
+            runs.m[run],
+            runs.home[run],
+            lists_of(runs, run),
+            runs.angles[run],
         )
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
         n, dt, parts, ticks = len(R), numbers[DT], orders[PARTS], TICKS // orders[PARTS]
         exx = exy = eyy = dxx = dxy = dyx = dyy = touching = heat = kxx = kxy = kyy = work = jumps = 0.0
         duration = k = builds = turn = at = 0
-        begun, end, needed, turns, built, old = -1, orders[END], parts, 0.0, strains[run, 0], rates[run, 0]
+        begun, end, needed, turns, built, old = -1, orders[END], parts, 0.0, strains[0], rates[0]
         stale, fresh, counted, status = True, True, False, FINE
         while True:
             if stale:
-                built = strains[run, k]
+                built = strains[k]
                 turns, needed = build(runs, run, first, threads, law, built, old)
                 builds += 1
                 status = runs.state[run, 0]
-                end = orders[END] if needed == parts else (k + parts - 1) // parts * parts
+                end = orders[END] if needed == parts else k + (orders[END] - k) % parts
                 stale, fresh, begun = False, True, k
             if status != FINE or k >= end:
                 break
-            rate, tick = rates[run, k + 1], orders[TICK] + k * ticks
+            rate, tick = rates[k + 1], orders[TICK] + k * ticks
             changed, change = rate != old, rate - old
-            cell = cell_of(numbers, strains[run, k], turns, rate)
+            cell = cell_of(numbers, strains[k], turns, rate)
             if heun or fresh or changed:
                 if wide:
                     at = 5 * n - at
@@ -550,8 +520,8 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                         dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
                         touching, heat, work = touching + e[7], heat + e[8], work + e[9] - rate * (e[1] + e[4])
                 old, fresh = rate, False
-            cell = cell_of(numbers, strains[run, k + 1], turns, rate)
-            shear = strains[run, k + 1] - built
+            cell = cell_of(numbers, strains[k + 1], turns, rate)
+            shear = strains[k + 1] - built
             room = numbers[SKIN] - numbers[REACH] * (math.sqrt(1.0 + 0.25 * shear * shear) + 0.5 * abs(shear) - 1.0)
             room = max(0.5 * room, 0.0)
             if wide:
@@ -614,11 +584,12 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             cuda.atomic.add(runs.duration, (run, 0), duration)
         add_up(runs, run, first, SUMS)
         if first == 0:
-            runs.done[run, MADE], runs.done[run, BUILDS] = k, builds
-            runs.done[run, DEMAND], runs.done[run, STATUS] = needed, status
+            done = runs.done[run]
+            done[MADE], done[BUILDS], done[BEGUN], done[DEMAND], done[STATUS] = k, builds, begun, needed, status
+            done[CHANGED] = 1 if old != rates[k] else 0
 
     @cuda.jit(**LIMITS)
-    def look(runs, strains, rates):
+    def look(runs):
         """Sum what a sample, the energy and, with END = 1, the trapezoidal rule need of the current state."""
         run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
         if wide:
@@ -626,9 +597,9 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
         numbers, orders, part = runs.numbers[run], runs.orders[run], runs.part[run]
         if orders[END] < 0:
             return
-        q, R, m, lists, rate = runs.q[run], runs.R[run], runs.m[run], lists_of(runs, run), rates[run, 0]
+        q, R, m, lists, rate = runs.q[run], runs.R[run], runs.m[run], lists_of(runs, run), runs.course[run, 1, 0]
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
-        cell, n, tick = cell_of(numbers, strains[run, 0], runs.built[run, 2], rate), len(R), orders[TICK]
+        cell, n, tick = cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), len(R), orders[TICK]
         sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
         for k in range(LOOKED):
             sums[k] = 0.0

@@ -47,6 +47,16 @@ class Totals(NamedTuple):
     angles: NDArray[np.int64]
 
 
+class Advance(NamedTuple):
+    """Steps that a run is about to make (:meth:`Engine.advance`); ``closes`` if a row of its time series ends there."""
+
+    engine: Engine
+    strains: Array
+    rates: Array
+    bulk: str
+    closes: bool
+
+
 class Engine(Protocol):
     """Disks that are sheared step by step, and the sums of observables.
 
