@@ -374,6 +374,8 @@ def disks(p: Parser) -> None:
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
     text = "keep the angles by which the disks have turned: in the file and in the frames"
     p.add_argument("--angles", action="store_true", help=text)
+    text = "cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
+    p.add_argument("--engine", default="cpu", metavar="NAME", help=text)
     text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"
     p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
     text = "number of snapshots for OVITO, in the folder OUT.frames (default 0)"

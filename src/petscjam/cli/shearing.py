@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from petscjam.base.errors import DoubtfulWarning, InputError, SolverError
+from petscjam.base.errors import InputError, SolverError
 from petscjam.cli.laws import chosen_laws, law_options
 from petscjam.cli.verbs import say
 from petscjam.parallel.comm import Comm, on_root
@@ -17,6 +16,7 @@ from petscjam.parallel.comm import Comm, on_root
 if TYPE_CHECKING:
     from petscjam.md.grid import Point
     from petscjam.md.protocols import Protocol
+    from petscjam.md.recording import Steps
 
 
 def shear(options: argparse.Namespace, comm: Comm) -> None:
@@ -66,22 +66,24 @@ def ramp(options: argparse.Namespace, comm: Comm) -> None:
 def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], Protocol], rates: list[float]) -> None:
     from petscjam.base.progress import progress
     from petscjam.md.grid import run_grid
-    from petscjam.md.runs import run
+    from petscjam.md.runs import begin, engine_of, finish
     from petscjam.plots.tables import describe_run
 
     names = "rescale start_bands integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
-    common = {name: getattr(options, name) for name in names.split()}
+    kind = engine_of(options.engine)
+    common = {name: getattr(options, name) for name in [*names.split(), "engine"]}
     alone = options.start[0] if len(options.start) == 1 else None
 
-    def work(rate: float, start: Any, **settings: Any) -> Any:
+    def steps(rate: float, start: Any, **settings: Any) -> Steps:
         start = start or alone
         if start is not None and start.is_dir():
             from petscjam.io.lammps_shear import read_lammps
 
             start = read_lammps(start)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtfulWarning)  # they are printed with the name of the file
-            return run(protocol(rate), start=start, **common, **settings)
+        return (yield from begin(protocol(rate), start=start, **common, **settings))
+
+    def work(**settings: Any) -> Any:
+        return finish(steps(**settings))
 
     def log(file: Path, done: Any) -> None:
         print(file, flush=True)
@@ -102,8 +104,12 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
         return
     if alone is not None and (options.particles is None or options.phi is None):
         raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
+    abreast = getattr(kind, "abreast", None)
     with progress(options.verb, show=comm.rank == 0) as report:
-        made, failures = run_grid(points, options.output, work, comm=comm, progress=report, log=log, **existing)
+        some = work if abreast is None else steps
+        made, failures = run_grid(
+            points, options.output, some, comm=comm, progress=report, log=log, abreast=abreast, **existing
+        )
     say(comm, f"{made} of {len(points)} runs: {options.output}")
     if failures:
         raise SolverError("".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)]))

@@ -9,15 +9,17 @@ Axes: i disk, x Cartesian, k step.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.interrupt import check
 from petscjam.base.types import Array
 from petscjam.md import kernels
 from petscjam.md.engine import (
@@ -36,6 +38,8 @@ from petscjam.md.engine import (
 )
 from petscjam.md.model import BULK, Model
 from petscjam.md.neighbours import order_in_space, wrap
+from petscjam.md.recording import Steps
+from petscjam.md.result import Run
 from petscjam.md.simulation import BALANCE, SKIN, SKINS, Simulation
 from petscjam.md.state import State
 
@@ -54,6 +58,7 @@ except Exception as error:
 MOST = 1024  # disks of a run of a batch
 STRETCH = 2048  # parts of steps of a launch: a signal waits for no more
 PLACES = 32, 62  # of a list of neighbours: at first, and at most
+T = TypeVar("T")
 THREADS = 2 if card.SIMULATED else 1024  # of a block, at most
 
 
@@ -86,7 +91,7 @@ class Batch:
     """
 
     def __init__(self, run: CudaSimulation, places: int) -> None:
-        n, self.wide = len(run), run.wide
+        n, self.wide, self.kind = len(run), run.wide, run.kind
         self.advance, self.look = card.compiled(run.integrator, run.model.potential, run.wide)
         self.threads = min(-(-n // 32) * 32, THREADS)
         self.blocks = 1
@@ -115,6 +120,10 @@ class Batch:
                 old, new = self.card[name].copy_to_host(), self._zeros(name)
                 new[tuple(slice(k) for k in old.shape)] = old
                 self.card[name] = cuda.to_device(new)
+
+    def takes(self, run: CudaSimulation) -> bool:
+        """Whether there is room for a run: for any other kind, if the batch is empty, there is not."""
+        return self.kind == run.kind and None in self.runs
 
     def put(self, run: CudaSimulation) -> None:
         """Copy a run to the card, into a free place or its own."""
@@ -325,6 +334,7 @@ class CudaSimulation:
     """
 
     CHECKPOINT: ClassVar[Mapping[str, str]] = Simulation.CHECKPOINT
+    abreast: ClassVar[Any]
 
     def __init__(
         self,
@@ -373,6 +383,11 @@ class CudaSimulation:
         place[order] = np.arange(len(order))
         self.q, self.R, self.m, self.tag = q[order], self.R[order], self.m[order], self.tag[order]
         self.contacts = np.column_stack([place[contacts[:, :2]], contacts[:, 2]])
+
+    @property
+    def kind(self) -> tuple[Any, ...]:
+        """What runs of a batch have in common."""
+        return len(self), self.integrator, self.model.potential
 
     @property
     def numbers(self) -> list[float]:
@@ -607,6 +622,11 @@ def multiprocessors() -> int:
     return 1 if card.SIMULATED else int(cuda.get_current_device().MULTIPROCESSOR_COUNT)
 
 
+def places(n: int) -> int:
+    """Return the number of runs of ``n`` disks that the card advances at the same time."""
+    return 1 if n > MOST else multiprocessors() * max(1, THREADS // (-(-n // 32) * 32))
+
+
 def together(requests: Iterable[Advance]) -> None:
     """Make the steps of several runs, all those of a batch in one launch; they know of it when they advance.
 
@@ -621,3 +641,84 @@ def together(requests: Iterable[Advance]) -> None:
         request.engine.ahead = True
     for batch, some in batches.items():
         batch.work(some)
+
+
+def choose(rank: int) -> None:
+    """Choose the card of a rank of this node.
+
+    Parameters
+    ----------
+    rank : int
+    """
+    if not card.SIMULATED:
+        cuda.select_device(rank % len(cuda.gpus))
+
+
+def abreast(
+    tasks: Iterable[T], begin: Callable[[T], Steps], done: Callable[[T, Run], None]
+) -> Iterator[tuple[T, InputError | SolverError]]:
+    """Make many runs, as many at a time as the card has room for; yield those that fail, with their errors.
+
+    Parameters
+    ----------
+    tasks : iterable
+    begin : callable
+        Returns the steps of the run of a task (:func:`petscjam.md.runs.begin`).
+    done : callable
+        Is called with each task and its complete run.
+
+    Raises
+    ------
+    Interrupted
+        On a signal; the file of each run ends with its last complete row.
+    """
+    failed: list[tuple[T, InputError | SolverError]] = []
+
+    def step(task: T, steps: Steps) -> Advance | None:
+        try:
+            return next(steps)
+        except StopIteration as end:
+            done(task, end.value)
+        except (InputError, SolverError) as error:
+            failed.append((task, error))
+        return None
+
+    waiting, batch = deque(tasks), None
+    running: dict[T, tuple[Steps, Advance]] = {}
+    following: tuple[T, Steps, Advance] | None = None  # begun, but there is no room yet
+    try:
+        while waiting or running or following:
+            while waiting or following:
+                if following is None:
+                    task = waiting.popleft()
+                    steps = begin(task)
+                    request = step(task, steps)
+                    if request is None:
+                        continue
+                    following = task, steps, request
+                run = following[2].engine
+                if not running and (batch is None or batch.kind != run.kind):
+                    batch = Batch(run, min(places(len(run)), len(waiting) + 1))
+                if not batch.takes(run):
+                    break
+                batch.put(run)
+                running[following[0]], following = following[1:], None
+            yield from failed
+            failed.clear()
+            check()
+            together(request for _, request in running.values())
+            for task, (steps, request) in [*running.items()]:
+                after = step(task, steps)
+                running[task] = steps, after
+                if after is None:
+                    del running[task]
+                    batch.drop(request.engine)
+        yield from failed
+    finally:
+        for steps, _ in running.values():
+            steps.close()
+        if following is not None:
+            following[1].close()
+
+
+CudaSimulation.abreast = staticmethod(abreast)

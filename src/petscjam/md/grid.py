@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from petscjam.base.errors import InputError, readable
 from petscjam.base.interrupt import deferred
@@ -15,8 +17,10 @@ from petscjam.base.ranges import MOST_RUNS
 from petscjam.md.result import Run
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import Comm, agree, on_root
-from petscjam.parallel.teams import Team, deal
+from petscjam.parallel.teams import Failure, Team, deal, share
 from petscjam.rows.damping import DampingLaw
+
+Abreast = Callable[[Sequence[Any], Callable[[Any], Any], Callable[[Any, Run], None]], Iterator[Failure[Any]]]
 
 
 @dataclass(frozen=True)
@@ -96,20 +100,25 @@ def run_grid(
     overwrite: bool = False,
     progress: Report | None = None,
     log: Callable[[Path, Run], None],
+    abreast: Abreast | None = None,
 ) -> tuple[int, list[str]]:
     """Run every point, each on one rank, into its own file in ``folder``.
+
+    With ``abreast`` a rank makes many of its runs at a time.
 
     Parameters
     ----------
     points : sequence of Point
     folder : Path
     work : callable
-        ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the run.
+        ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the run, with ``abreast`` its steps.
     comm : communicator
     resume, overwrite : bool
         For files that exist; an error if both are false.
     progress, log : callable
         ``log`` is called with the file and the run of each finished point, on its rank.
+    abreast : callable
+        :func:`petscjam.md.cuda.abreast`.
 
     Returns
     -------
@@ -131,15 +140,39 @@ def run_grid(
             if file.exists() and not (resume or overwrite):
                 raise InputError(f"{file}: exists already; ask to overwrite it or to resume")
 
-    def make(point: Point, team: Team, report: Report | None) -> None:
+    def begin(point: Point, report: Report | None) -> Any:
+        return work(**vars(point), output=files[point], resume=resume, overwrite=overwrite, progress=report)
+
+    def done(point: Point, run: Run) -> None:
         nonlocal made
-        run = work(**vars(point), output=files[point], resume=resume, overwrite=overwrite, progress=report)
         made += 1
         log(files[point], run)
 
+    def one(point: Point, team: Team, report: Report | None) -> None:
+        done(point, begin(point, report))
+
+    def many(mine: list[Point], team: Team) -> Iterator[Failure[Point]]:
+        parts = dict.fromkeys(mine, 0.0)
+
+        def report(point: Point, fraction: float, text: str) -> None:
+            parts[point] = fraction
+            if progress is not None:
+                progress(sum(parts.values()) / len(parts), f"{len(parts)} runs, {point.name}: {text}")
+
+        assert abreast is not None
+        yield from abreast(
+            sorted(mine, key=lambda point: point.n or 0), lambda point: begin(point, partial(report, point)), done
+        )
+
+    def cost(point: Point) -> float:
+        return point.cost
+
     with made_folder(folder, comm), claimed(folder, comm):
         on_root(comm, unwritten)
-        lost = deal(comm, points, make, cost=lambda point: point.cost, progress=progress)
+        if abreast is None:
+            lost = deal(comm, points, one, cost=cost, progress=progress)
+        else:
+            lost = share(comm, points, many, cost=cost)
         failures = [f"{point.name}: {error}" for point, error in lost]
         if sum(isinstance(error, InputError) for _, error in lost) == len(points):  # invalid arguments
             raise InputError(failures[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from petscjam.base.files import atomic_h5, group, marked
 from petscjam.base.interrupt import check
 from petscjam.base.progress import Report
 from petscjam.base.types import Array
-from petscjam.md.engine import CONTACTS, SAMPLED, Engine
+from petscjam.md.engine import CONTACTS, SAMPLED, Advance, Engine
 from petscjam.md.frames import frames_of, write_frame
 from petscjam.md.observables import (
     BLOCKS,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import h5py
 
 EVERY = 30.0  # seconds between two checkpoints on disk
+Steps = Generator[Advance, None, Run]  # of a run, which it returns
 
 
 class Recorder:
@@ -80,10 +81,11 @@ class Recorder:
         output: str | PathLike[str] | None,
         frames: int,
         progress: Report | None,
-    ) -> Run:
+    ) -> Steps:
         """Advance to step ``total`` of ``protocol``; write a checkpoint every 30 s, and at the end.
 
-        The file ends with the last complete row, also after an error or a signal.
+        The file ends with the last complete row, also after an error or a signal. This is a generator: it yields
+        steps before the engine makes them, so that an engine can make those of many runs together.
 
         Parameters
         ----------
@@ -98,6 +100,10 @@ class Recorder:
         progress : callable
             See :mod:`petscjam.base.progress`.
 
+        Yields
+        ------
+        Advance
+
         Returns
         -------
         Run
@@ -106,8 +112,9 @@ class Recorder:
         count = -(-total // row_steps)
         began, written, first = time.monotonic(), time.monotonic(), engine.steps
         try:
+            yield Advance(engine, np.empty(0), np.empty(0), protocol.bulk, False)
             while engine.steps < total:
-                self._row(engine, protocol, min(row_steps, total - engine.steps))
+                yield from self._row(engine, protocol, min(row_steps, total - engine.steps))
                 row = len(self.rows["time"])
                 if row % ROWS_PER_BLOCK == 0:
                     self._close_block()
@@ -131,7 +138,7 @@ class Recorder:
                 self.write(output)
         return self.run
 
-    def _row(self, engine: Engine, protocol: Protocol, steps: int) -> None:
+    def _row(self, engine: Engine, protocol: Protocol, steps: int) -> Iterator[Advance]:
         before, rebuilds, substeps = sum(engine.energy()), engine.rebuilds, engine.substeps
         edges = np.linspace(0, steps, min(SAMPLES, steps) + 1).astype(int)
         samples, sums, mean_rate = len(edges) - 1, np.zeros(SAMPLED), 0.0
@@ -140,6 +147,7 @@ class Recorder:
             at = engine.steps + np.arange(edges[k + 1] - edges[k])
             rates = protocol.rates((at + 0.5) * engine.dt)
             strains = np.cumsum(np.concatenate([[engine.strain], rates * engine.dt]))[1:]
+            yield Advance(engine, strains, rates, protocol.bulk, k == samples - 1)
             engine.advance(strains, rates, protocol.bulk)
             mean_rate += rates.sum() / steps
             sums += self._sample(engine, sampled)

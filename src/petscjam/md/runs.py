@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import wraps
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from petscjam.md.engine import Engine
 from petscjam.md.frames import frames_of, remove_frames
 from petscjam.md.model import Model
 from petscjam.md.protocols import Protocol
-from petscjam.md.recording import Recorder, read_checkpoint
+from petscjam.md.recording import Recorder, Steps, read_checkpoint
 from petscjam.md.result import Run, read_run
 from petscjam.md.settings import Settings
 from petscjam.md.simulation import Simulation
@@ -35,7 +37,8 @@ from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
 from petscjam.rows.damping import DampingLaw
 
-ENGINES: dict[str, type[Engine]] = {"cpu": Simulation}
+# An engine with dependencies of its own is a name, and imported when it is asked for.
+ENGINES: dict[str, type[Engine] | str] = {"cpu": Simulation, "cuda": "petscjam.md.cuda.CudaSimulation"}
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and smallest number of steps of a row
 PER_PERIOD = 32  # rows of a period, at least
 BUILD = ("version", "numba", "processor")  # settings that change only the last bits
@@ -137,8 +140,7 @@ def ramp(
     return run(protocol, model, n, phi, Q, seed=seed, dt=dt, start=start, output=output, **options)
 
 
-@deferred()
-def run(
+def begin(
     protocol: Protocol,
     model: str | DampingLaw,
     n: int | None = None,
@@ -164,8 +166,10 @@ def run(
     frames: int = 0,
     progress: Report | None = None,
     engine: str = "cpu",
-) -> Run:
+) -> Steps:
     """Shear disks by any protocol; parameters that are not listed are those of :func:`shear`.
+
+    ``run`` makes all steps; ``begin`` is a generator of them (:meth:`petscjam.md.recording.Recorder.fill`).
 
     Parameters
     ----------
@@ -205,15 +209,13 @@ def run(
     engine : str
         A name of :data:`ENGINES`.
     """
-    if engine not in ENGINES:
-        raise InputError(f"shear: no engine {engine!r}; there are {', '.join(ENGINES)}")
+    kind = engine_of(engine)
     use_threads(threads)
     ranges.SEED.check("shear: the seed", seed)
     ranges.FRAMES.check("shear: the number of frames", frames)
     if frames and output is None:
         raise InputError("shear: frames are written next to the output: give one")
     with _claimed(output, start, overwrite=overwrite or resume, frames=frames > 0):
-        kind = ENGINES[engine]
         earlier = _earlier(output, kind) if output is not None and resume and Path(output).exists() else None
         there = None if earlier is None else earlier.run.settings
         given, origin = given_state(start)
@@ -255,10 +257,58 @@ def run(
             recorder = Recorder(Settings(law, **made), disks)
             if output is not None:
                 remove_frames(output, overwrite=overwrite)
-        done = recorder.fill(disks, protocol, total, output, frames, progress)
+        return (yield from recorder.fill(disks, protocol, total, output, frames, progress))
+
+
+P = ParamSpec("P")
+
+
+def _whole(begin: Callable[P, Steps]) -> Callable[P, Run]:
+    """Return the function that makes all steps of a run."""
+
+    @deferred()
+    def run(*arguments: P.args, **options: P.kwargs) -> Run:
+        done = finish(begin(*arguments, **options))
         for text in done.warnings:
-            warnings.warn(text, DoubtfulWarning, stacklevel=3)
+            warnings.warn(text, DoubtfulWarning, stacklevel=4)
         return done
+
+    return wraps(begin)(run)
+
+
+def finish(steps: Steps) -> Run:
+    """Make all steps of a run, and return it.
+
+    Parameters
+    ----------
+    steps : generator
+        Of :func:`begin`.
+    """
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            return done.value
+
+
+run = _whole(begin)
+
+
+def engine_of(name: str) -> type[Engine]:
+    """Return the engine called ``name``.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot be used on this machine.
+    """
+    if name not in ENGINES:
+        raise InputError(f"shear: no engine {name!r}; there are {', '.join(ENGINES)}")
+    kind = ENGINES[name]
+    if isinstance(kind, str):
+        module, _, name = kind.rpartition(".")
+        kind = getattr(import_module(module), name)
+    return kind
 
 
 @contextmanager

@@ -77,6 +77,7 @@ class Task(Protocol):
 
 
 Named = TypeVar("Named", bound=Task)
+Failure = tuple[Named, InputError | SolverError]
 
 
 def deal(
@@ -87,7 +88,7 @@ def deal(
     cost: Callable[[Named], float],
     size: int = 1,
     progress: Report | None = None,
-) -> list[tuple[Named, InputError | SolverError]]:
+) -> list[Failure[Named]]:
     """Distribute tasks over teams and return those that failed, with their errors, on every rank. Collective.
 
     If a task fails, the others continue. A signal stops all teams after their current tasks.
@@ -111,20 +112,53 @@ def deal(
     Interrupted
         On a signal.
     """
-    failed: list[tuple[Named, InputError | SolverError]] = []
-    stopped: Interrupted | None = None
-    with teams(comm, size) as team:
-        first = team.comm.rank == 0
-        mine = team.deal(tasks, cost)
+
+    def one_by_one(mine: list[Named], team: Team) -> Iterator[Failure[Named]]:
         for k, task in enumerate(mine):
             try:
                 check(team.comm)
                 work(task, team, part(progress, k, len(mine), f"{task.name}: ") if progress else None)
             except (InputError, SolverError) as error:  # the same on all ranks of the team
-                failed.append((task, error))
-            except Interrupted as signal:
-                stopped = signal
-                break
+                yield task, error
+
+    return share(comm, tasks, one_by_one, cost=cost, size=size)
+
+
+def share(
+    comm: Comm,
+    tasks: Sequence[Named],
+    work: Callable[[list[Named], Team], Iterable[Failure[Named]]],
+    *,
+    cost: Callable[[Named], float],
+    size: int = 1,
+) -> list[Failure[Named]]:
+    """Distribute tasks over teams, which do all of theirs at once; otherwise as :func:`deal`. Collective.
+
+    Parameters
+    ----------
+    comm : communicator
+    tasks : sequence
+        The same on every rank.
+    work : callable
+        ``work(tasks, team)``, called on every rank of the team, yields the tasks that failed and their errors.
+    cost : callable
+        Time of a task, in any unit.
+    size : int
+        Ranks of a team.
+
+    Raises
+    ------
+    Interrupted
+        On a signal.
+    """
+    failed: list[Failure[Named]] = []
+    stopped: Interrupted | None = None
+    with teams(comm, size) as team:
+        first = team.comm.rank == 0
+        try:
+            failed.extend(work(team.deal(tasks, cost), team))
+        except Interrupted as signal:
+            stopped = signal
     raise_together(comm, stopped)
     return [one for some in comm.allgather(failed if first else []) for one in some]
 
