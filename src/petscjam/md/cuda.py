@@ -57,9 +57,9 @@ except Exception as error:
 
 MOST = 1024  # disks of a run of a batch
 STRETCH = 2048  # parts of steps of a launch: a signal waits for no more
-PLACES = 32, 62  # of a list of neighbours: at first, and at most
 T = TypeVar("T")
-THREADS = 2 if card.SIMULATED else 1024  # of a block, at most
+# Most threads of a block. More hide the latency of memory, which a large run needs; fewer have more registers.
+THREADS = (2, 3) if card.SIMULATED else (512, 1024)
 
 
 class Seen(NamedTuple):
@@ -92,15 +92,15 @@ class Batch:
 
     def __init__(self, run: CudaSimulation, places: int) -> None:
         n, self.wide, self.kind = len(run), run.wide, run.kind
-        self.advance, self.look = card.compiled(run.integrator, run.model.potential, run.wide)
-        self.threads = min(-(-n // 32) * 32, THREADS)
-        self.blocks = 1
-        if run.wide:
-            cores = multiprocessors()
-            self.threads = min(-(-n // cores // 32) * 32, THREADS)
-            self.blocks = min(-(-n // self.threads), cores)
+        each, most = (
+            -(-n // multiprocessors()) if run.wide else n,
+            THREADS[run.wide and n > THREADS[0] * multiprocessors()],
+        )
+        self.threads = min(-(-each // 32) * 32, most)
+        self.blocks = min(-(-n // self.threads), multiprocessors()) if run.wide else 1
+        self.advance, self.look = card.compiled(run.integrator, run.model.potential, run.wide, most)
         self.runs: list[CudaSimulation | None] = [None] * places
-        self.sizes = {"R": places, "N": n, "K": PLACES[0], "M": n, "C": 8, "B": self.blocks, "L": STRETCH + 1}
+        self.sizes = {"R": places, "N": n, "M": n, "C": 8, "B": self.blocks, "L": STRETCH + 1}
         self.sizes |= {"T": self.threads * self.blocks, "S": 10 * n if run.wide else 1}
         self.card = {name: cuda.to_device(self._zeros(name)) for name in card.SHAPES}
         self.host = {name: self._zeros(name) for name in ("numbers", "orders", "state", "course")}
@@ -109,17 +109,6 @@ class Batch:
         kind, axes = card.SHAPES[name]
         numbers = [re.fullmatch(r"(\d*)([A-Z]?)", axis).groups() for axis in axes]
         return np.zeros([int(k or 1) * self.sizes.get(axis, 1) for k, axis in numbers], kind)
-
-    def _double(self, letter: str) -> None:
-        """Double an axis; the arrays keep their contents."""
-        self.sizes[letter] *= 2
-        if letter == "K" and self.sizes["K"] > PLACES[1]:
-            raise SolverError(f"shear: a disk has more than {PLACES[1] // 2} neighbours: too many for the engine cuda")
-        for name, (_, axes) in card.SHAPES.items():
-            if letter in axes:
-                old, new = self.card[name].copy_to_host(), self._zeros(name)
-                new[tuple(slice(k) for k in old.shape)] = old
-                self.card[name] = cuda.to_device(new)
 
     def takes(self, run: CudaSimulation) -> bool:
         """Whether there is room for a run: for any other kind, if the batch is empty, there is not."""
@@ -133,15 +122,13 @@ class Batch:
         n, pairs = self.sizes["N"], np.concatenate([run.contacts, run.contacts[:, [1, 0, 2]]])
         i, j, tick = pairs[np.argsort(pairs[:, 0], kind="stable")].T
         held = np.bincount(i, minlength=n)
-        while held.max(initial=0) > self.sizes["K"]:
-            self._double("K")
         at = np.arange(len(i)) - np.repeat(np.cumsum(held) - held, held)
         both = {"open": np.zeros((held.max(), n), np.int32), "began": np.zeros((held.max(), n), np.int64)}
         both["open"][at, i], both["began"][at, i] = j, tick
         for name, values in both.items():
             for k, row in enumerate(values):
                 self.card[name][k, run.place].copy_to_device(row)
-        for name, values in (("q", run.q.T), ("R", run.R), ("m", run.m), ("held", held)):
+        for name, values in (("now", run.q), ("R", run.R), ("m", run.m), ("light", 1 / run.m), ("held", held)):
             self.card[name][run.place].copy_to_device(np.ascontiguousarray(values, card.SHAPES[name][0]).ravel())
         run.gather = 0
 
@@ -163,13 +150,12 @@ class Batch:
         kernel[grid, self.threads, 0, shared](card.Runs(**self.card))
 
     def _made(self, courses: Mapping[CudaSimulation, Course]) -> list[tuple[NDArray[np.int64], Array]]:
-        """Launch ``advance``; return results and sums of each run. Lists without room are enlarged."""
+        """Launch ``advance``; return results and sums of each run. Cells without room are enlarged."""
         self._launch(self.advance, courses)
         done, sums = self.card["done"].copy_to_host(), self.card["sums"].copy_to_host()[:, :, :SUMS].sum(1)
-        states = {done[run.place, card.STATUS] for run in courses}
-        for state, letter in ((card.FULL, "K"), (card.CROWDED, "C")):
-            if state in states:
-                self._double(letter)
+        if card.CROWDED in [done[run.place, card.STATUS] for run in courses]:
+            self.sizes["C"] *= 2
+            self.card["members"] = cuda.to_device(self._zeros("members"))
         return [(done[run.place], sums[run.place]) for run in courses]
 
     def make(self, jobs: Iterable[Job]) -> None:
@@ -190,10 +176,11 @@ class Batch:
         todo, results = [*runs], {}
         while todo:
             made = self._made({run: Course([run.strain], [run.rate], 0, 0) for run in todo})
-            results |= {run: done for run, (done, _) in zip(todo, made, strict=True)}
-            for run in todo:
-                run.gather = int(results[run][card.STATUS] == card.FINE)
-            todo = [run for run in todo if results[run][card.STATUS] in (card.FULL, card.CROWDED)]
+            for run, (done, _) in zip([*todo], made, strict=True):
+                results[run] = done
+                run.room(done[card.STATUS])
+                if run.error or run.gather:
+                    todo.remove(run)
         return results
 
     def see(self, runs: Sequence[CudaSimulation], closing: Iterable[CudaSimulation] = ()) -> None:
@@ -202,16 +189,15 @@ class Batch:
             return
         closing = {*closing}
         self._launch(self.look, {run: Course([run.strain], [run.rate], 0, int(run in closing)) for run in runs})
-        q, sums, keys, angles, duration = (
-            self.card[name].copy_to_host() for name in ("q", "sums", "keys", "angles", "duration")
+        now, sums, keys, angles, duration = (
+            self.card[name].copy_to_host() for name in ("now", "sums", "keys", "angles", "duration")
         )
         for run in runs:
             total = sums[run.place].sum(0)
             total[card.ONE :] = sums[run.place, keys[run.place].argmin(), card.ONE :]
             if keys[run.place].min() == card.NONE:
                 total[card.ONE :] = np.nan
-            state = np.ascontiguousarray(q[run.place].reshape(5, -1).T)
-            run.seen = Seen(state, total, angles[run.place], int(duration[run.place, 0]))
+            run.seen = Seen(now[run.place].reshape(-1, 5), total, angles[run.place], int(duration[run.place, 0]))
             run.closing = run in closing
 
     def contacts(self, runs: Iterable[CudaSimulation]) -> dict[CudaSimulation, NDArray[np.int64]]:
@@ -459,7 +445,7 @@ class CudaSimulation:
         """Take over the results of a launch that lists neighbours."""
         self.rebuilds += int(done[card.BUILDS])
         self.parts, status = int(done[card.DEMAND]), done[card.STATUS]
-        self.gather = int(status not in (card.FULL, card.CROWDED))
+        self.room(status)
         at = f"at a strain of {self.strain:.6g}"
         if status == card.LOST:
             self.error = SolverError(f"shear: a contact was lost {at}; take a smaller dt")
@@ -472,6 +458,15 @@ class CudaSimulation:
                 text = f"shear: disks leave their neighbours within a step {at}; take a smaller dt"
                 self.error = SolverError(text)
             self.skin *= 2
+
+    def room(self, status: int) -> None:
+        """Note whether there was room for the lists, and take a narrower skin if there was not."""
+        self.gather = int(status not in (card.FULL, card.CROWDED))
+        if status == card.FULL:
+            if self.skin <= SKINS[0]:
+                text = f"shear: a disk has more than {card.PLACES} neighbours: too many for the engine cuda"
+                self.error = InputError(text)
+            self.skin = max(self.skin / 2, SKINS[0])
 
     @property
     def now(self) -> Array:
@@ -624,7 +619,7 @@ def multiprocessors() -> int:
 
 def places(n: int) -> int:
     """Return the number of runs of ``n`` disks that the card advances at the same time."""
-    return 1 if n > MOST else multiprocessors() * max(1, THREADS // (-(-n // 32) * 32))
+    return 1 if n > MOST else multiprocessors() * max(1, THREADS[0] // (-(-n // 32) * 32))
 
 
 def together(requests: Iterable[Advance]) -> None:

@@ -17,7 +17,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 import numba
-from numba import cuda, float32, float64
+from numba import cuda, float32, float64, int32, uint32
 
 from petscjam.md import contact as laws
 from petscjam.md.engine import (
@@ -40,6 +40,7 @@ from petscjam.md.engine import (
     WORK,
 )
 
+REGISTERS = 65536  # of a multiprocessor
 SIMULATED = bool(numba.config.ENABLE_CUDASIM)
 # Numbers of a run
 (LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
@@ -55,23 +56,24 @@ SIMULATED = bool(numba.config.ENABLE_CUDASIM)
 LOOKED = SUMS + 23
 (ELASTIC, ROTATIONAL, SQUARES, SQUARES_T, NUMBER, FIRST, SECOND, ONE) = (*range(SUMS, SUMS + 6), SUMS + 9, SUMS + 19)
 MASK, IMAGES = (1 << 26) - 1, 26  # a neighbour and its image, in one integer
-CENTRE = 12
+HERE = 12  # the image of a neighbour that is a disk itself
 NONE = (1 << 62) - 1
-# Arrays on the card, by type, with their axes: R runs, N disks, K places of a list, M cells, C places of a cell,
-# T threads and B blocks of a run. q, F, home: state, forces, and positions at the last build. The list: code (neighbour
-# and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of the contact); count neighbours, of
-# which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these contacts, their number.
-# filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain left out, at the last
-# build. state: how the launch ends, and the last check at which a disk had moved too far. angles, duration: events since
-# the run began. course: strains at the beginnings of parts and at the end, and rates before and in them. s: what forces
-# are computed from, if it is not in shared memory.
+PLACES = 32  # of a list of neighbours
+# Arrays on the card, by type, with their axes: R runs, N disks, M cells, C places of a cell, T threads and B blocks of a
+# run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m. The
+# list: code (neighbour and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of the contact);
+# count neighbours, of which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these
+# contacts, their number. filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain
+# left out, at the last build. state: how the launch ends, and the last check at which a disk had moved too far. angles,
+# duration: events since the run began. course: strains at the beginnings of parts and at the end, and rates before and
+# in them. s: what forces are computed from, if it is not in shared memory.
 AXES = {
-    "f8": f"q: R 5N, F: R 3N, R: R N, m: R N, home: R 2N, inverse: R K N, built: R 3, numbers: R 10, course: R 2 L, "
-    f"s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
-    "f4": "gap: R K N",
-    "i8": f"since: R K N, bits: R N, began: K R N, angles: R 2 {BINS}, duration: R 1, orders: R 7, done: R 6, "
-    "key: R T, keys: R B",
-    "i4": "code: R K N, count: R N, z: R N, open: K R N, held: R N, filled: R M, members: R C M, state: R 2",
+    "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, inverse: R 32N, built: R 3, "
+    f"numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
+    "f4": "gap: R 32N",
+    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 7, done: R 6, key: R T, keys: R B",
+    "i4": "code: R 32N, count: R N, z: R N, open: 32 R N, held: R N, filled: R M, members: R C M, state: R 2",
+    "u4": "bits: R N",
 }
 SHAPES = {
     name: (kind, axes.split())
@@ -117,13 +119,14 @@ if SIMULATED:
         """Return 1/√x."""
         return 1.0 / math.sqrt(x)
 
-    LIMITS: dict[str, Any] = {}
+    index: Any = int
+    short: Any = int
     INLINE: dict[str, Any] = {}
 else:
     from numba.cuda import libdevice
 
     rsqrt = libdevice.rsqrt
-    LIMITS = {"max_registers": 64}  # 1024 threads of a block share 65 536
+    index, short = uint32, int32  # an index from the end of an array is known to be none; conversions are faster
     INLINE = {"forceinline": True}
 
 
@@ -145,21 +148,22 @@ def lists_of(runs, run):
 
 
 @device
-def separation(code, a, j, s, at, n, cell):
+def image(code):
+    """Return the column and the row of the image of a neighbour."""
+    return short((code >> IMAGES & 7) - 4), short((code >> IMAGES + 3) - 1)
+
+
+@device
+def separation(code, a, s, at, cell):
     """Return rji, vji with the image of j."""
-    x, y = s[at + j] - s[at + a], s[at + n + j] - s[at + n + a]
-    u, v = s[at + 2 * n + j] - s[at + 2 * n + a], s[at + 3 * n + j] - s[at + 3 * n + a]
-    image = code >> IMAGES
-    if image != CENTRE:
-        up = image // 8 - 1
-        x += (image % 8 - 4) * cell.Lx + up * cell.slip
-        y += up * cell.Ly
-        u += up * cell.slide
-    return x, y, u, v
+    i, j = at + 5 * a, at + 5 * (code & MASK)
+    right, up = image(code)
+    x, y = s[j] - s[i] + right * cell.Lx + up * cell.slip, s[j + 1] - s[i + 1] + up * cell.Ly
+    return x, y, s[j + 2] - s[i + 2] + up * cell.slide, s[j + 3] - s[i + 3]
 
 
 @cache
-def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
+def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple[Any, Any]:
     """Return the kernels ``advance`` and ``look``.
 
     Parameters
@@ -168,7 +172,10 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
     potential : Potential
     wide : bool
         One run by all blocks, with barriers across the grid; otherwise one run by each block.
+    threads : int
+        Of a multiprocessor, which share its registers.
     """
+    kernel = cuda.jit if SIMULATED else cuda.jit(max_registers=REGISTERS // threads)
     alpha, absolute = potential.exponent, None if potential.relative else 1.0
     exponent = None if alpha == 2 else alpha
     heun, single = integrator == "heun", integrator == "single"
@@ -206,63 +213,68 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             cuda.syncthreads()
 
     @device
-    def event(c, a, j, x, y, u, v, touch, lists, tick, angles):
-        """Record that a contact begins or ceases; return its duration. Only the first of both disks counts it."""
-        duration = 0
-        if touch:
-            lists.since[c, a] = tick
-        if a < j:
-            if not touch:
-                duration = tick - lists.since[c, a]
-            cuda.atomic.add(angles, (0 if touch else 1, angle_bin(x, y, u, v)), 1)
+    def events(a, n, s, at, lists, cell, tick, before, now, angles):
+        """Record contacts of disk a that begin, or cease; return the durations. The first of both counts."""
+        duration, changed = 0, index(before ^ now)
+        while changed != 0:
+            c = cuda.ffs(changed) - 1
+            changed = index(changed & (changed - 1))
+            place, touch = c * n + a, (now >> c) & 1 == 1
+            code = lists.code[place]
+            if touch:
+                lists.since[place] = tick
+            if a < code & MASK:
+                if not touch:
+                    duration += tick - lists.since[place]
+                x, y, u, v = separation(code, a, s, at, cell)
+                cuda.atomic.add(angles, (0 if touch else 1, angle_bin(x, y, u, v)), 1)
+        lists.bits[a] = now
         return duration
 
     @device
-    def force(a, s, at, n, R, lists, law, cell, tick, measure, angles):
-        """Return force and torque on disk a; with ``measure`` its share of the sums, and record events."""
-        x, y, u, v, w = s[at + a], s[at + n + a], s[at + 2 * n + a], s[at + 3 * n + a], s[at + 4 * n + a]
+    def force(a, n, s, at, R, lists, law, cell, tick, measure, angles):
+        """Return force and torque on disk a, its share of the sums, and durations; with ``measure`` record events."""
+        i = at + 5 * a
+        x, y, u, v, w = s[i], s[i + 1], s[i + 2], s[i + 3], s[i + 4]
         fx = fy = ft = exx = exy = eyy = dxx = dxy = dyx = dyy = heat = couple = 0.0
-        touching = duration = 0
-        before = lists.bits[a]
-        now = before
-        for c in range(lists.count[a]):
-            code = lists.code[c, a]
-            j, image, i1 = code & MASK, code >> IMAGES, lists.inverse[c, a]
-            rx, ry = s[at + j] - x, s[at + n + j] - y
-            up = 0
-            if image != CENTRE:
-                up = image // 8 - 1
-                rx += (image % 8 - 4) * cell.Lx + up * cell.slip
+        place, bit, now, duration = a, index(1), index(0), 0
+        for _ in range(lists.count[a]):
+            code, i1 = lists.code[place], lists.inverse[place]
+            j = at + 5 * (code & MASK)
+            rx, ry, slide = s[j] - x, s[j + 1] - y, 0.0
+            if code >> IMAGES != HERE:
+                right, up = image(code)
+                rx += right * cell.Lx + up * cell.slip
                 ry += up * cell.Ly
+                slide = up * cell.slide
             r2 = rx * rx + ry * ry
-            touch, touched = r2 * i1 * i1 <= 1.0, (before >> c) & 1 == 1
-            if touch or (measure and touched):
-                vx, vy = s[at + 2 * n + j] - u + up * cell.slide, s[at + 3 * n + j] - v
-                if touch:
-                    turn = law.rolls * (w + s[at + 4 * n + j]) * i1
-                    ux, uy = vx + turn * ry, vy - turn * rx
-                    spring, gx, gy, _ = contact(
-                        rx, ry, ux, uy, rsqrt(r2), i1, law.normal, law.tangential, exponent, absolute, dU
-                    )
-                    fx += gx - spring * rx
-                    fy += gy - spring * ry
-                    ft += 2.0 * law.rolls * i1 * (rx * gy - ry * gx)
-                    if measure:
-                        exx += spring * rx * rx
-                        exy += spring * rx * ry
-                        eyy += spring * ry * ry
-                        dxx -= gx * rx
-                        dxy -= gx * ry
-                        dyx -= gy * rx
-                        dyy -= gy * ry
-                        heat += gx * ux + gy * uy
-                        touching += 1
-                if measure and touch != touched:
-                    now ^= 1 << c
-                    duration += event(c, a, j, rx, ry, vx, vy, touch, lists, tick, angles)
-        if now != before:
-            lists.bits[a] = now
+            if r2 * i1 * i1 <= 1.0:
+                turn = law.rolls * (w + s[j + 4]) * i1
+                ux, uy = s[j + 2] - u + slide + turn * ry, s[j + 3] - v - turn * rx
+                spring, gx, gy, _ = contact(
+                    rx, ry, ux, uy, rsqrt(r2), i1, law.normal, law.tangential, exponent, absolute, dU
+                )
+                fx += gx - spring * rx
+                fy += gy - spring * ry
+                ft += i1 * (rx * gy - ry * gx)
+                if measure:
+                    exx += spring * rx * rx
+                    exy += spring * rx * ry
+                    eyy += spring * ry * ry
+                    dxx -= gx * rx
+                    dxy -= gx * ry
+                    dyx -= gy * rx
+                    dyy -= gy * ry
+                    heat += gx * ux + gy * uy
+                    now |= bit
+            place, bit = place + n, index(bit + bit)
+        ft *= 2.0 * law.rolls
         heat *= 0.5
+        touching = cuda.popc(now)
+        if measure:
+            before = lists.bits[a]
+            if now != before:
+                duration = events(a, n, s, at, lists, cell, tick, before, now, angles)
         if law.body != 0.0 or law.drag != 0.0:
             cx, cy, spin = u - cell.rate * y, v, w / R[a] + 0.5 * cell.rate
             fx -= law.body * cx
@@ -279,7 +291,7 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
     @device
     def to_cells(runs, run, first, threads, strain, rate, turns):
         """Wrap the disks, remember their contacts, and put them into cells."""
-        q, home, lists = runs.q[run], runs.home[run], lists_of(runs, run)
+        now, home, lists = runs.now[run], runs.home[run], lists_of(runs, run)
         filled, members = runs.filled[run], runs.members[run]
         numbers, orders, n = runs.numbers[run], runs.orders[run], runs.R.shape[1]
         cell, columns, rows = cell_of(numbers, strain, turns, rate), orders[COLUMNS], orders[ROWS]
@@ -289,7 +301,7 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             runs.built[run, 0] = runs.built[run, 1] = 0.0
             runs.built[run, 2] = turns
         for a in range(first, n, threads):
-            x, y = q[a], q[n + a]
+            x, y = now[5 * a], now[5 * a + 1]
             if not abs(x) + abs(y) < 1e15:
                 runs.state[run, 0] = DIVERGED
                 x = y = 0.0
@@ -297,21 +309,20 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             y -= row * cell.Ly
             x -= row * cell.slip
             x -= math.floor(x / cell.Lx) * cell.Lx
-            q[a] = home[a] = x
-            q[n + a] = home[n + a] = y
-            q[2 * n + a] -= row * cell.slide
+            now[5 * a], now[5 * a + 1], home[a], home[n + a] = x, y, x, y
+            now[5 * a + 2] -= row * cell.slide
             if orders[GATHER] == 1:
                 held = 0
                 for c in range(lists.count[a]):
                     if (lists.bits[a] >> c) & 1:
-                        runs.open[held, run, a] = lists.code[c, a] & MASK
-                        runs.began[held, run, a] = lists.since[c, a]
+                        runs.open[held, run, a] = lists.code[c * n + a] & MASK
+                        runs.began[held, run, a] = lists.since[c * n + a]
                         held += 1
                 runs.held[run, a] = held
         barrier()
         for a in range(first, n, threads):
-            column = min(max(int(q[a] / cell.Lx * columns), 0), columns - 1)
-            there = min(max(int(q[n + a] / cell.Ly * rows), 0), rows - 1) * columns + column
+            column = min(max(int(now[5 * a] / cell.Lx * columns), 0), columns - 1)
+            there = min(max(int(now[5 * a + 1] / cell.Ly * rows), 0), rows - 1) * columns + column
             place = cuda.atomic.add(filled, there, 1)
             if place < members.shape[0]:
                 members[place, there] = a
@@ -322,10 +333,10 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
     @device
     def list_neighbours(a, runs, run, cell):
         """List the neighbours of disk a by their gap, and mark those in contact."""
-        q, R, lists, gap = runs.q[run], runs.R[run], lists_of(runs, run), runs.gap[run]
+        now, R, lists, gap = runs.now[run], runs.R[run], lists_of(runs, run), runs.gap[run]
         filled, members = runs.filled[run], runs.members[run]
         n, columns, rows = len(R), runs.orders[run, COLUMNS], runs.orders[run, ROWS]
-        x, y, reach = q[a], q[n + a], R[a] + runs.numbers[run, SKIN]
+        x, y, reach = now[5 * a], now[5 * a + 1], R[a] + runs.numbers[run, SKIN]
         home = min(max(int(y / cell.Ly * rows), 0), rows - 1)
         found = z = 0
         for row in range(home - 1, home + 2):
@@ -336,49 +347,50 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                 there = (row - up * rows) * columns + side - right * columns
                 for k in range(min(filled[there], members.shape[0])):
                     j = members[k, there]
-                    dx, dy = q[j] - x + right * cell.Lx + up * cell.slip, q[n + j] - y + up * cell.Ly
-                    if j != a and dx * dx + dy * dy <= (reach + R[j]) ** 2:
-                        if found == lists.code.shape[0]:
-                            runs.state[run, 0] = FULL
-                            break
-                        inverse = 1.0 / (R[a] + R[j])
-                        ratio = (dx * dx + dy * dy) * inverse * inverse
-                        z += 1 if ratio <= 1.0 else 0
-                        code, short = j | ((8 * (up + 1) + right + 4) << IMAGES), float32(ratio)
-                        c = found
-                        while c > 0 and (gap[c - 1, a], lists.code[c - 1, a]) > (short, code):
-                            lists.code[c, a], lists.inverse[c, a] = lists.code[c - 1, a], lists.inverse[c - 1, a]
-                            gap[c, a] = gap[c - 1, a]
-                            c -= 1
-                        lists.code[c, a], lists.inverse[c, a], gap[c, a] = code, inverse, short
-                        found += 1
+                    dx, dy = now[5 * j] - x + right * cell.Lx + up * cell.slip, now[5 * j + 1] - y + up * cell.Ly
+                    if j == a or dx * dx + dy * dy > (reach + R[j]) ** 2:
+                        continue
+                    if found == PLACES:
+                        runs.state[run, 0] = FULL
+                        break
+                    inverse = 1.0 / (R[a] + R[j])
+                    ratio = (dx * dx + dy * dy) * inverse * inverse
+                    z += 1 if ratio <= 1.0 else 0
+                    code, key = j | ((8 * (up + 1) + right + 4) << IMAGES), float32(ratio)
+                    place = found * n + a
+                    while place >= n and (gap[place - n], lists.code[place - n]) > (key, code):
+                        lists.code[place], lists.inverse[place] = lists.code[place - n], lists.inverse[place - n]
+                        gap[place] = gap[place - n]
+                        place -= n
+                    lists.code[place], lists.inverse[place], gap[place] = code, inverse, key
+                    found += 1
         bits = 0
         for k in range(runs.held[run, a]):
             c = 0
-            while c < found and lists.code[c, a] & MASK != runs.open[k, run, a]:
+            while c < found and lists.code[c * n + a] & MASK != runs.open[k, run, a]:
                 c += 1
             if c < found:
                 bits |= 1 << c
-                lists.since[c, a] = runs.began[k, run, a]
-            elif found < lists.code.shape[0]:
+                lists.since[c * n + a] = runs.began[k, run, a]
+            elif found < PLACES:
                 runs.state[run, 0] = LOST
         lists.count[a], lists.bits[a], runs.z[run, a] = found, bits, z
 
     @device
     def bounds(a, runs, run, law, cell):
         """Return the bounds of disk a for the eigenvalues of M⁻¹B and M⁻¹K (:func:`petscjam.md.contact.fastest`)."""
-        q, z, lists, n = runs.q[run], runs.z[run], lists_of(runs, run), runs.R.shape[1]
+        now, z, lists, n = runs.now[run], runs.z[run], lists_of(runs, run), runs.R.shape[1]
         s = cuda.local.array(9, float64)
         for k in range(9):
             s[k] = 0.0
         for c in range(lists.count[a]):
-            j, inverse = lists.code[c, a] & MASK, lists.inverse[c, a]
-            x, y, _, _ = separation(lists.code[c, a], a, j, q, 0, n, cell)
+            code, inverse = lists.code[c * n + a], lists.inverse[c * n + a]
+            x, y, _, _ = separation(code, a, now, 0, cell)
             x *= inverse
             y *= inverse
             square = x * x + y * y
             if square <= 1.0 and z[a] > 0:
-                w = 1.0 + z[j] / z[a]
+                w = 1.0 + z[code & MASK] / z[a]
                 k = w * stiffness(math.sqrt(square), inverse, power, absolute, d2U)
                 cos, sin = (x * x - y * y) / square, 2.0 * x * y / square
                 s[0] += w
@@ -457,7 +469,7 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                 total += runs.part[run, name, t]
             runs.sums[run, block, name] = total
 
-    @cuda.jit(**LIMITS)
+    @kernel
     def advance(runs):
         """Make parts of steps."""
         run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
@@ -468,25 +480,36 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             return
         strains, rates = runs.course[run, 0], runs.course[run, 1]
         s = runs.s[run] if wide else cuda.shared.array(0, float64)
-        q, F, R, m, home, lists, angles = (
+        now, q, F, R, m, light, home, lists, angles = (
+            runs.now[run],
             runs.q[run],
             runs.F[run],
             runs.R[run],
             runs.m[run],
+            runs.light[run],
             runs.home[run],
             lists_of(runs, run),
             runs.angles[run],
         )
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
-        n, dt, parts, ticks = len(R), numbers[DT], orders[PARTS], TICKS // orders[PARTS]
+        n, dt, parts, ticks = index(len(R)), numbers[DT], orders[PARTS], TICKS // orders[PARTS]
         exx = exy = eyy = dxx = dxy = dyx = dyy = touching = heat = kxx = kxy = kyy = work = jumps = 0.0
         duration = k = builds = turn = at = 0
         begun, end, needed, turns, built, old = -1, orders[END], parts, 0.0, strains[0], rates[0]
         stale, fresh, counted, status = True, True, False, FINE
         while True:
             if stale:
+                for i in range(first, n, threads):
+                    a = index(i)
+                    if builds > 0:
+                        for x in range(5):
+                            now[5 * a + x] = q[x * n + a]
                 built = strains[k]
                 turns, needed = build(runs, run, first, threads, law, built, old)
+                for i in range(first, n, threads):
+                    a = index(i)
+                    for x in range(5):
+                        q[x * n + a] = now[5 * a + x]
                 builds += 1
                 status = runs.state[run, 0]
                 end = orders[END] if needed == parts else k + (orders[END] - k) % parts
@@ -501,15 +524,17 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                     at = 5 * n - at
                 else:
                     barrier()
-                for a in range(first, n, threads):
+                for i in range(first, n, threads):
+                    a = index(i)
                     if changed:
                         jumps += jump(a, q, m, n, cell.Ly, old, rate, orders[BULK])
                     for x in range(5):
-                        s[at + x * n + a] = q[x * n + a]
+                        s[at + 5 * a + x] = q[x * n + a]
                 barrier()
                 measure = changed or (heun and not counted)
-                for a in range(first, n, threads):
-                    f, e, long = force(a, s, at, n, R, lists, law, cell, tick, measure, angles)
+                for i in range(first, n, threads):
+                    a = index(i)
+                    f, e, long = force(a, n, s, at, R, lists, law, cell, tick, measure, angles)
                     F[a], F[n + a], F[2 * n + a] = f
                     duration += long
                     if changed:
@@ -529,12 +554,12 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             else:
                 barrier()
             half = 0.0 if heun else 0.5 * dt
-            for a in range(first, n, threads):
-                gain, u, v = dt / m[a], q[2 * n + a], q[3 * n + a]
-                x, y = q[a] + dt * u + half * gain * F[a], q[n + a] + dt * v + half * gain * F[n + a]
-                s[at + a], s[at + n + a] = x, y
-                s[at + 2 * n + a], s[at + 3 * n + a] = u + gain * F[a], v + gain * F[n + a]
-                s[at + 4 * n + a] = q[4 * n + a] + gain * F[2 * n + a]
+            for i in range(first, n, threads):
+                a = index(i)
+                gain, u, v, fx, fy, p = dt * light[a], q[2 * n + a], q[3 * n + a], F[a], F[n + a], at + 5 * a
+                x, y = q[a] + dt * u + half * gain * fx, q[n + a] + dt * v + half * gain * fy
+                s[p], s[p + 1], s[p + 2], s[p + 3] = x, y, u + gain * fx, v + gain * fy
+                s[p + 4] = q[4 * n + a] + gain * F[2 * n + a]
                 if heun and not counted:
                     cx = u - rate * q[n + a]
                     kxx, kxy, kyy = kxx + m[a] * cx * cx, kxy + m[a] * cx * v, kyy + m[a] * v * v
@@ -550,30 +575,35 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                     break
                 stale = True
                 continue
-            for a in range(first, n, threads):
-                f, e, long = force(a, s, at, n, R, lists, law, cell, tick, single, angles)
-                h, u, v = 0.5 * dt / m[a], s[at + 2 * n + a], s[at + 3 * n + a]
+            for i in range(first, n, threads):
+                a = index(i)
+                f, e, long = force(a, n, s, at, R, lists, law, cell, tick, single, angles)
+                h, p = 0.5 * dt * light[a], at + 5 * a
                 if heun:
-                    u = q[2 * n + a] + h * (F[a] + f[0])
-                    v = q[3 * n + a] + h * (F[n + a] + f[1])
-                    q[a] += 0.5 * dt * (q[2 * n + a] + u)
-                    q[n + a] += 0.5 * dt * (q[3 * n + a] + v)
-                    q[2 * n + a], q[3 * n + a] = u, v
+                    u, v = q[2 * n + a], q[3 * n + a]
+                    u1, v1 = u + h * (F[a] + f[0]), v + h * (F[n + a] + f[1])
+                    q[a] += 0.5 * dt * (u + u1)
+                    q[n + a] += 0.5 * dt * (v + v1)
+                    q[2 * n + a], q[3 * n + a] = u1, v1
                     q[4 * n + a] += h * (F[2 * n + a] + f[2])
                 else:
                     duration += long
-                    x, y, w = s[at + a], s[at + n + a], s[at + 4 * n + a]
-                    exx, exy, eyy = exx + e[0], exy + e[1], eyy + e[2]
-                    dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
-                    cx = u - rate * y
-                    kxx, kxy, kyy = kxx + m[a] * cx * cx, kxy + m[a] * cx * v, kyy + m[a] * v * v
-                    touching, heat = touching + e[7], heat + e[8]
-                    work += e[9] - rate * (e[1] + e[4] + m[a] * cx * v)
+                    x, y, u, v, w = s[p], s[p + 1], s[p + 2], s[p + 3], s[p + 4]
                     q[a], q[n + a], q[2 * n + a] = x, y, 0.5 * (q[2 * n + a] + u) + h * f[0]
                     q[3 * n + a] = 0.5 * (q[3 * n + a] + v) + h * f[1]
                     q[4 * n + a] = 0.5 * (q[4 * n + a] + w) + h * f[2]
                     F[a], F[n + a], F[2 * n + a] = f
+                    cx, mass = u - rate * y, m[a]
+                    exx, exy, eyy = exx + e[0], exy + e[1], eyy + e[2]
+                    dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
+                    kxx, kxy, kyy = kxx + mass * cx * cx, kxy + mass * cx * v, kyy + mass * v * v
+                    touching, heat = touching + e[7], heat + e[8]
+                    work += e[9] - rate * (e[1] + e[4] + mass * cx * v)
             k, counted = k + 1, False
+        for i in range(first, n, threads):
+            a = index(i)
+            for x in range(5):
+                now[5 * a + x] = q[x * n + a]
         part = runs.part[run]
         part[EXX, first], part[EXY, first], part[EYY, first] = exx, exy, eyy
         part[DXX, first], part[DXY, first], part[DYX, first], part[DYY, first] = dxx, dxy, dyx, dyy
@@ -588,7 +618,7 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
             done[MADE], done[BUILDS], done[BEGUN], done[DEMAND], done[STATUS] = k, builds, begun, needed, status
             done[CHANGED] = 1 if old != rates[k] else 0
 
-    @cuda.jit(**LIMITS)
+    @kernel
     def look(runs):
         """Sum what a sample, the energy and, with END = 1, the trapezoidal rule need of the current state."""
         run, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
@@ -597,25 +627,27 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
         numbers, orders, part = runs.numbers[run], runs.orders[run], runs.part[run]
         if orders[END] < 0:
             return
-        q, R, m, lists, rate = runs.q[run], runs.R[run], runs.m[run], lists_of(runs, run), runs.course[run, 1, 0]
+        now, R, m, lists, rate = runs.now[run], runs.R[run], runs.m[run], lists_of(runs, run), runs.course[run, 1, 0]
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
-        cell, n, tick = cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), len(R), orders[TICK]
+        cell, tick = cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), orders[TICK]
         sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
         for k in range(LOOKED):
             sums[k] = 0.0
-        for a in range(first, n, threads):
+        n = index(len(R))
+        for i in range(first, n, threads):
+            a = index(i)
             for c in range(lists.count[a]):
-                code, inverse = lists.code[c, a], lists.inverse[c, a]
+                code, inverse = lists.code[c * n + a], lists.inverse[c * n + a]
                 j = code & MASK
                 if a > j:
                     continue
-                x, y, ux, uy = separation(code, a, j, q, 0, n, cell)
+                x, y, ux, uy = separation(code, a, now, 0, cell)
                 r = math.sqrt(x * x + y * y)
                 if r * inverse < 1.0:
                     sums[ELASTIC] += energy(1.0 - r * inverse, inverse, power, absolute, U)
                 if (lists.bits[a] >> c) & 1:
                     v[0] = (ux * y - uy * x) / r
-                    v[1] = (q[4 * n + a] + q[4 * n + j]) * r * inverse
+                    v[1] = (now[5 * a + 4] + now[5 * j + 4]) * r * inverse
                     v[2] = v[0] + v[1]
                     v[3] = -(ux * x + uy * y) / r
                     sums[SQUARES] += v[3] * v[3]
@@ -635,14 +667,13 @@ def compiled(integrator: str, potential: Any, wide: bool) -> tuple[Any, Any]:
                             least = key
                             for k in range(4):
                                 sums[ONE + k] = v[k]
-            w = q[4 * n + a]
-            sums[ROTATIONAL] += 0.25 * m[a] * w * w
-            cx, cy = q[2 * n + a] - rate * q[n + a], q[3 * n + a]
+            sums[ROTATIONAL] += 0.25 * m[a] * now[5 * a + 4] ** 2
+            cx, cy = now[5 * a + 2] - rate * now[5 * a + 1], now[5 * a + 3]
             sums[KXX] += m[a] * cx * cx
             sums[KXY] += m[a] * cx * cy
             sums[KYY] += m[a] * cy * cy
             if orders[END] == 1:
-                _, e, long = force(a, q, 0, n, R, lists, law, cell, tick, True, runs.angles[run])
+                _, e, long = force(a, n, now, 0, R, lists, law, cell, tick, True, runs.angles[run])
                 for k in range(HEAT + 1):
                     sums[k] += e[k]
                 sums[WORK] += e[9] - rate * (e[1] + e[4] + m[a] * cx * cy)
