@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "1")  # kernels for GPUs run as Python threads; 0: on a GPU
 START = dict(os.environ)
 MPI_ENV = Path(__file__).parents[1] / "tools" / "mpi-env.sh"
 

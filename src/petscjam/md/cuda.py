@@ -8,6 +8,7 @@ Axes: i disk, x Cartesian, k step.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,12 +19,15 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import check
 from petscjam.base.types import Array
 from petscjam.md import kernels
 from petscjam.md.engine import (
     CONTACTS,
+    DXY,
+    DYX,
+    HEAT,
     JUMPS,
     KXX,
     KYY,
@@ -33,6 +37,7 @@ from petscjam.md.engine import (
     TANGENTIAL2,
     TICKS,
     TOUCHING,
+    WORK,
     Advance,
     Totals,
 )
@@ -40,7 +45,7 @@ from petscjam.md.model import BULK, Model
 from petscjam.md.neighbours import order_in_space, wrap
 from petscjam.md.recording import Steps
 from petscjam.md.result import Run
-from petscjam.md.simulation import BALANCE, SKIN, SKINS, Simulation
+from petscjam.md.simulation import BALANCE, SKINS, Simulation, masses_of, saved_state, widest_skin
 from petscjam.md.state import State
 
 if not numba.config.ENABLE_CUDASIM and find_spec("numba_cuda") is None:
@@ -69,6 +74,7 @@ class Seen(NamedTuple):
     sums: Array  # (LOOKED,)
     angles: NDArray[np.int64]  # (2, BINS), since the run has its place
     duration: int
+    closing: bool  # whether it has the sums for the trapezoidal rule
 
 
 class Saved(NamedTuple):
@@ -107,8 +113,8 @@ class Batch:
 
     def _zeros(self, name: str) -> NDArray[Any]:
         kind, axes = card.SHAPES[name]
-        numbers = [re.fullmatch(r"(\d*)([A-Z]?)", axis).groups() for axis in axes]
-        return np.zeros([int(k or 1) * self.sizes.get(axis, 1) for k, axis in numbers], kind)
+        numbers = [re.findall(r"\d+|[A-Z]", axis) for axis in axes]
+        return np.zeros([math.prod(self.sizes.get(k) or int(k) for k in number) for number in numbers], kind)
 
     def takes(self, run: CudaSimulation) -> bool:
         """Whether there is room for a run: for any other kind, if the batch is empty, there is not."""
@@ -123,10 +129,10 @@ class Batch:
         i, j, tick = pairs[np.argsort(pairs[:, 0], kind="stable")].T
         held = np.bincount(i, minlength=n)
         at = np.arange(len(i)) - np.repeat(np.cumsum(held) - held, held)
-        both = {"open": np.zeros((held.max(), n), np.int32), "began": np.zeros((held.max(), n), np.int64)}
-        both["open"][at, i], both["began"][at, i] = j, tick
-        for name, values in both.items():
-            for k, row in enumerate(values):
+        for name, values in (("open", j), ("began", tick)):
+            rows = np.zeros((held.max(), n), card.SHAPES[name][0])
+            rows[at, i] = values
+            for k, row in enumerate(rows):
                 self.card[name][k, run.place].copy_to_device(row)
         for name, values in (("now", run.q), ("R", run.R), ("m", run.m), ("light", 1 / run.m), ("held", held)):
             self.card[name][run.place].copy_to_device(np.ascontiguousarray(values, card.SHAPES[name][0]).ravel())
@@ -142,8 +148,10 @@ class Batch:
         orders[:, card.END], state[:] = -1, (card.FINE, -1)
         for run, course in courses.items():
             self.host["course"][run.place, :, : len(course.strains)] = course.strains, course.rates
-            self.host["numbers"][run.place], orders[run.place] = run.numbers, [course.end, *run.orders, run.gather]
-            orders[run.place, card.BULK] = course.bulk
+            self.host["numbers"][run.place], orders[run.place] = (
+                run.numbers,
+                [course.end, run.parts, course.bulk, run.steps * TICKS, *run.cells, run.gather, course.counted],
+            )
         for name, values in self.host.items():
             self.card[name].copy_to_device(values)
         grid, shared = (self.blocks, 0) if self.wide else (len(self.runs), 40 * self.sizes["N"])
@@ -173,9 +181,9 @@ class Batch:
 
     def build(self, runs: Iterable[CudaSimulation]) -> dict[CudaSimulation, NDArray[np.int64]]:
         """List the neighbours; return the results of the launches."""
-        todo, results = [*runs], {}
+        todo, results = [*runs], dict[CudaSimulation, NDArray[np.int64]]()
         while todo:
-            made = self._made({run: Course([run.strain], [run.rate], 0, 0) for run in todo})
+            made = self._made({run: Course([run.strain], [run.rate], 0) for run in todo})
             for run, (done, _) in zip([*todo], made, strict=True):
                 results[run] = done
                 run.room(done[card.STATUS])
@@ -188,7 +196,7 @@ class Batch:
         if not runs:
             return
         closing = {*closing}
-        self._launch(self.look, {run: Course([run.strain], [run.rate], 0, int(run in closing)) for run in runs})
+        self._launch(self.look, {run: Course([run.strain], [run.rate], int(run in closing)) for run in runs})
         now, sums, keys, angles, duration = (
             self.card[name].copy_to_host() for name in ("now", "sums", "keys", "angles", "duration")
         )
@@ -197,8 +205,9 @@ class Batch:
             total[card.ONE :] = sums[run.place, keys[run.place].argmin(), card.ONE :]
             if keys[run.place].min() == card.NONE:
                 total[card.ONE :] = np.nan
-            run.seen = Seen(now[run.place].reshape(-1, 5), total, angles[run.place], int(duration[run.place, 0]))
-            run.closing = run in closing
+            run.seen = Seen(
+                now[run.place].reshape(-1, 5), total, angles[run.place], int(duration[run.place, 0]), run in closing
+            )
 
     def contacts(self, runs: Iterable[CudaSimulation]) -> dict[CudaSimulation, NDArray[np.int64]]:
         """Return the contacts at the last build, (C, 3): disks by place, and tick."""
@@ -243,20 +252,21 @@ class Batch:
         for run, done in self.build(runs).items():
             run.built(done)
             run.settled, run.divided = True, run.parts
-        new = [run for run in runs if run.start is None]
-        self.see(runs, new)
+        runs = [run for run in runs if run.error is None]
+        self.see(runs, [run for run in runs if not len(run.start)])
         for run in runs:
-            run.start = run.now if run.start is None else run.start
+            run.start = run.start if len(run.start) else run.now
             run.forget()
 
 
 class Course(NamedTuple):
-    """Strains (K + 1,), rates (K + 1,), effect of a change of the rate, and END of a launch."""
+    """A launch: strains (K + 1,), rates (K + 1,), END, BULK, COUNTED (:mod:`petscjam.md.cuda_kernels`)."""
 
     strains: Sequence[float] | Array
     rates: Sequence[float] | Array
-    bulk: int
     end: int
+    bulk: int = 0
+    counted: int = 0
 
 
 class Job:
@@ -265,8 +275,11 @@ class Job:
     def __init__(self, run: CudaSimulation, request: Advance) -> None:
         self.run, self.bulk = run, BULK[request.bulk]
         self.strains, self.rates = np.append(run.strain, request.strains), np.append(run.rate, request.rates)
-        self.parts, self.made, self.at, self.fine = 1, 0, self.strains[:1], self.rates[:1]
+        self.parts, self.made, self.at, self.fine, self.counted = 1, 0, self.strains[:1], self.rates[:1], 0
         run.check(self.rates, self.bulk)
+        fluid = run.model.fluid * run.length * run.height
+        run.total[[DXY, DYX]] -= fluid * self.rates[1:].sum()
+        run.total[[HEAT, WORK]] += fluid * (self.rates[1:] ** 2).sum()
 
     @property
     def left(self) -> int:
@@ -280,14 +293,15 @@ class Job:
             steps = min(self.left, max(STRETCH // self.parts, 1))
             self.fine = np.append(self.run.rate, np.repeat(self.rates[1 : steps + 1], self.parts))
             self.at = np.interp(np.arange(len(self.fine)) / self.parts, np.arange(steps + 1), self.strains[: steps + 1])
-        return Course(self.at[self.made :], self.fine[self.made :], self.bulk, len(self.fine) - 1 - self.made)
+        end = len(self.fine) - 1 - self.made
+        return Course(self.at[self.made :], self.fine[self.made :], end, self.bulk, self.counted)
 
     def took(self, done: NDArray[np.int64], sums: Array) -> None:
         """Count what a launch has made."""
         run, end = self.run, self.made + int(done[card.MADE])
         steps = end // self.parts - self.made // self.parts
         run.took(end - self.made, self.parts, steps, done, sums)
-        self.made = end
+        self.made, self.counted = end, int(done[card.HALFWAY])
         if done[card.CHANGED]:
             self.fine[end] = self.fine[end + 1]
         run.strain, run.rate = float(self.at[end]), float(self.fine[end])
@@ -333,30 +347,26 @@ class CudaSimulation:
     ) -> None:
         self.model, self.integrator, n = model, integrator, len(state)
         self.dt = model.step(dt, integrator)
-        self.L = self.length = state.length
-        self.height = getattr(state, "height", state.length)
+        self.length, self.height = state.length, state.height
         self.strain, self.rate, self.time = state.strain, state.rate, state.time
-        m = np.ones(n) if masses is None else np.array(masses, dtype=float)
-        if m.shape != (n,) or not (m > 0).all():
-            raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
-        self._widest = min(self.length, self.height) / 2 - float(np.sort(state.radii)[-2:].sum())
-        if self._widest < SKINS[0]:
-            raise InputError(f"shear: a cell of {state.length:.3g} is too small for disks of these sizes")
-        self.wide, self.skin = n > MOST, min(SKIN, self._widest)
+        self._widest = widest_skin(state)
+        # The first list lasts as long as later ones, if the disks keep their velocities.
+        pace = 2 * np.hypot(*state.peculiar.T).max() + abs(state.rate) * state.radii.max()
+        self.wide, self.skin = n > MOST, self._within(float(np.sqrt(BALANCE[integrator] * pace * self.dt)))
         self.q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
-        self.R, self.m, self.tag = state.radii.copy(), m, np.arange(n)
+        self.R, self.m, self.tag = state.radii.copy(), masses_of(n, model, masses), np.arange(n)
         self.contacts = np.empty((0, 3), np.int64)
         self.steps = self.rebuilds = self.substeps = 0
         self.parts = self.divided = self.most = 1
-        self.total, self.start = np.zeros(SUMS), None
-        self.settled = self.ahead = self.closing = False
+        self.total, self.start = np.zeros(SUMS), np.empty(0)
+        self.settled = self.ahead = False
         self.batch: Batch | None = None
         self.seen: Seen | None = None
         self.saved: Saved | None = None
         self.error: Exception | None = None
         self.place = self.gather = 0
         if self.wide:
-            wrap(self.q, self.length, self.strain, self.rate)
+            wrap(self.q, self.length, self.height, self.strain, self.rate)
             self.sort(self.q, self.contacts)
 
     def __len__(self) -> int:
@@ -364,7 +374,7 @@ class CudaSimulation:
 
     def sort(self, q: Array, contacts: NDArray[np.int64]) -> None:
         """Sort the disks in space."""
-        order = order_in_space(q, self.length)
+        order = order_in_space(q, self.length, self.height)
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         self.q, self.R, self.m, self.tag = q[order], self.R[order], self.m[order], self.tag[order]
@@ -383,12 +393,12 @@ class CudaSimulation:
         return [self.length, self.height, self.skin, 2 * float(self.R.max()), self.dt / self.parts, *friction]
 
     @property
-    def orders(self) -> list[int]:
-        """Its row of ``orders``, from PARTS to ROWS; there are at most as many cells as disks."""
+    def cells(self) -> tuple[int, int]:
+        """Columns and rows of cells, at most as many as disks."""
         edge, n = 2 * float(self.R.max()) + self.skin, len(self)
         columns = max(1, min(int(self.length / edge), int(np.sqrt(n * self.length / self.height))))
         rows = max(1, min(int(self.height / edge), n // columns))
-        return [self.parts, 0, self.steps * TICKS, columns, rows]
+        return columns, rows
 
     def check(self, rates: Array, bulk: int) -> None:
         """Refuse to scale velocities from a strain rate of 0."""
@@ -439,7 +449,10 @@ class CudaSimulation:
         elif made:
             self.skin *= 0.9
         self.built(done)
-        self.skin = min(max(self.skin, SKINS[0]), SKINS[1], self._widest)
+        self.skin = self._within(self.skin)
+
+    def _within(self, skin: float) -> float:
+        return min(max(skin, SKINS[0]), SKINS[1], self._widest)
 
     def built(self, done: NDArray[np.int64]) -> None:
         """Take over the results of a launch that lists neighbours."""
@@ -471,7 +484,7 @@ class CudaSimulation:
     @property
     def now(self) -> Array:
         """Sums of the current state; contacts that were made or broken in the last step are counted."""
-        if self.seen is None or not self.closing:
+        if self.seen is None or not self.seen.closing:
             self.at_home().see([self], [self])
         assert self.seen is not None
         return self.seen.sums[:SUMS]
@@ -500,6 +513,8 @@ class CudaSimulation:
         if self.seen is None:
             batch = self.at_home()
             batch.see([self]) if self.settled else batch.settle([self])
+        if self.error is not None:
+            raise self.error
         assert self.seen is not None
         return self.seen
 
@@ -526,7 +541,7 @@ class CudaSimulation:
         """
         sums, seen = np.zeros(SAMPLED), self.look
         disks = kernels.Disks(seen.q, seen.q, seen.q, self.R, self.m, seen.q)
-        kernels.sample_disks(disks, self.L, self.rate, layers, sums)
+        kernels.sample_disks(disks, self.height, self.rate, layers, sums)
         sums[[NORMAL2, TANGENTIAL2, CONTACTS]] = seen.sums[[card.SQUARES, card.SQUARES_T, card.NUMBER]]
         products = np.zeros((4, 4))
         products[np.tril_indices(4)] = seen.sums[card.SECOND : card.ONE]
@@ -547,8 +562,8 @@ class CudaSimulation:
         now = self.q if self.batch is None else self.look.q
         q, R = np.empty_like(now), np.empty_like(self.R)
         q[self.tag], R[self.tag] = now, self.R
-        name = self.model.potential.name
-        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, self.length, self.strain, self.rate, self.time, name)
+        cell, name = (self.length, self.strain, self.rate, self.time), self.model.potential.name
+        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height)
 
     def checkpoint(self) -> dict[str, Any]:
         """Build a new list; return everything that :meth:`restored` needs to continue bit for bit.
@@ -570,7 +585,8 @@ class CudaSimulation:
             "masses": self.m,
             "tag": self.tag,
             "contacts": np.column_stack([self.tag[contacts[:, :2]], contacts[:, 2]]),
-            "numbers": np.array([self.L, self.strain, self.rate, self.time, self.skin]),
+            "numbers": np.array([self.length, self.strain, self.rate, self.time, self.skin]),
+            "height": np.array([self.height]),
             "counts": np.array([self.steps, self.rebuilds]),
             "start": self.start,
         }
@@ -595,17 +611,12 @@ class CudaSimulation:
         InputError
             If its contacts are not those of its disks.
         """
-        q, radii, tag, contacts = saved["q"], saved["radii"], saved["tag"], saved["contacts"]
-        disks = np.arange(len(tag))
-        if not (np.array_equal(np.sort(tag), disks) and np.isin(contacts[:, :2], disks).all()):
-            raise InputError("checkpoint: tag or contacts contain disks that do not exist")
-        L, strain, rate, time, skin = (float(x) for x in saved["numbers"])
-        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, L, strain, rate, time)
-        new = cls(state, model, dt, integrator, threads, saved["masses"])
-        place = np.empty_like(tag)
-        place[tag] = disks
-        new.q, new.R, new.m, new.tag, new.skin = q.copy(), radii, saved["masses"], tag.copy(), skin
-        new.contacts = np.column_stack([place[contacts[:, :2]], contacts[:, 2]])
+        new = cls(saved_state(saved, model), model, dt, integrator, threads, saved["masses"])
+        new.q, new.R, new.m, new.tag = (saved[name].copy() for name in ("q", "radii", "masses", "tag"))
+        place = np.empty_like(new.tag)
+        place[new.tag] = np.arange(len(new))
+        new.contacts = np.column_stack([place[saved["contacts"][:, :2]], saved["contacts"][:, 2]])
+        new.skin = float(saved["numbers"][-1])
         new.steps, new.rebuilds = (int(x) for x in saved["counts"])
         new.rebuilds -= 1
         new.start = saved["start"].copy()

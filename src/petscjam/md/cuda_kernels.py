@@ -45,11 +45,12 @@ SIMULATED = bool(numba.config.ENABLE_CUDASIM)
 # Numbers of a run
 (LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
 # Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
-# rate, tick of the start, columns and rows of cells, and whether contacts are those of the lists (1) or of ``open``.
-(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER) = range(7)
+# rate, tick of the start, columns and rows of cells, whether contacts are those of the lists (1) or of ``open``, and
+# whether the sums at the start are counted already.
+(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER, COUNTED) = range(8)
 # Results of a launch: parts of steps made, lists made, parts of steps before the last of them, parts of a step that the
-# contacts require, whether the rate of the next part has begun, and how the launch ended.
-(MADE, BUILDS, BEGUN, DEMAND, CHANGED, STATUS) = range(6)
+# contacts require, whether the rate of the next part has begun, whether its sums are counted, and how the launch ended.
+(MADE, BUILDS, BEGUN, DEMAND, CHANGED, HALFWAY, STATUS) = range(7)
 (FINE, WIDEN, FULL, CROWDED, LOST, DIVERGED) = range(6)
 # Sums of a state, after SUMS: elastic and rotational energy; over contacts vN², vT², their number, and the sums and
 # products of V_T, V^R, V^C_T, V_N; then these four of one contact.
@@ -71,7 +72,7 @@ AXES = {
     "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, inverse: R 32N, built: R 3, "
     f"numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
     "f4": "gap: R 32N",
-    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 7, done: R 6, key: R T, keys: R B",
+    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 8, done: R 7, key: R T, keys: R B",
     "i4": "code: R 32N, count: R N, z: R N, open: 32 R N, held: R N, filled: R M, members: R C M, state: R 2",
     "u4": "bits: R N",
 }
@@ -496,7 +497,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         exx = exy = eyy = dxx = dxy = dyx = dyy = touching = heat = kxx = kxy = kyy = work = jumps = 0.0
         duration = k = builds = turn = at = 0
         begun, end, needed, turns, built, old = -1, orders[END], parts, 0.0, strains[0], rates[0]
-        stale, fresh, counted, status = True, True, False, FINE
+        stale, fresh, counted, status = True, True, orders[COUNTED] == 1, FINE
         while True:
             if stale:
                 for i in range(first, n, threads):
@@ -616,7 +617,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         if first == 0:
             done = runs.done[run]
             done[MADE], done[BUILDS], done[BEGUN], done[DEMAND], done[STATUS] = k, builds, begun, needed, status
-            done[CHANGED] = 1 if old != rates[k] else 0
+            done[CHANGED], done[HALFWAY] = (1 if old != rates[k] else 0), (1 if counted else 0)
 
     @kernel
     def look(runs):

@@ -50,7 +50,7 @@ class Totals(NamedTuple):
 class Advance(NamedTuple):
     """Steps that a run is about to make (:meth:`Engine.advance`); ``closes`` if a row of its time series ends there."""
 
-    engine: Engine
+    engine: Any
     strains: Array
     rates: Array
     bulk: str

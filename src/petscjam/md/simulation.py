@@ -82,9 +82,7 @@ class Simulation:
         n = len(state)
         self.tag = np.arange(n)
         q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
-        m = np.full(n, model.mass) if masses is None else np.array(masses, dtype=float)
-        if m.shape != (n,) or not (m > 0).all():
-            raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
+        m = masses_of(n, model, masses)
         angle = np.empty(0) if state.angles is None else state.angles.copy()
         self._disks = Disks(q, q.copy(), np.zeros((n, 3)), state.radii.copy(), m, q[:, :2].copy(), angle)
         exponent = None if model.potential.exponent == 2 else model.potential.exponent
@@ -104,12 +102,7 @@ class Simulation:
         self.skin = SKIN
         self.steps = self.rebuilds = self.substeps = 0
         self._since = 0  # substep of the last build
-        # A contact is identified by its disks: no disk may touch two images of another disk, or its own.
-        shortest = min(state.length, state.height)
-        self._widest = shortest / 2 - float(np.sort(state.radii)[-2:].sum())
-        if self._widest < SKINS[0]:
-            cell = f"{state.length:.3g} x {state.height:.3g}"
-            raise InputError(f"shear: a cell of {cell} is too small for disks of these sizes")
+        self._widest = widest_skin(state)
         rows = (n - 1) // CHUNK + 2
         counts, angles = np.zeros((rows, 3), np.int64), np.zeros((rows, 2, BINS), np.int64)
         self._measured = Measured(np.zeros((rows, SUMS)), counts, angles, np.zeros(SUMS))
@@ -354,19 +347,55 @@ class Simulation:
         InputError
             If its contacts are not those of its disks.
         """
-        q, radii, tags = saved["q"], saved["radii"], np.arange(len(saved["tag"]))
-        if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(saved["contacts"][:, :2], tags).all()):
-            raise InputError("checkpoint: tag or contacts contain disks that do not exist")
-        length, strain, rate, time, skin = (float(x) for x in saved["numbers"])
-        cell = (length, strain, rate, time, model.potential.name, float(saved["height"][0]))
-        state = State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, *cell, saved.get("angles"))
+        q, radii, state = saved["q"], saved["radii"], saved_state(saved, model)
         new = cls(state, model, dt, integrator, threads, saved["masses"])
         others = (saved["masses"], q[:, :2].copy(), np.array(saved.get("angles", ())))
         new._disks = Disks(q.copy(), q.copy(), np.zeros((len(q), 3)), radii, *others)
-        new.tag, new.skin = saved["tag"].copy(), skin
+        new.tag, new.skin = saved["tag"].copy(), float(saved["numbers"][-1])
         new.steps, new.rebuilds = (int(x) for x in saved["counts"])
         new.rebuilds -= 1
         new._build(saved["contacts"])
         new._divided = new.parts
         new._start = saved["start"].copy()
         return new
+
+
+def masses_of(n: int, model: Model, masses: ArrayLike | None) -> Array:
+    """Return the masses of ``n`` disks, checked; default: that of the model."""
+    m = np.full(n, model.mass) if masses is None else np.array(masses, dtype=float)
+    if m.shape != (n,) or not (m > 0).all():
+        raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
+    return m
+
+
+def widest_skin(state: State) -> float:
+    """Return the widest skin: no disk may touch two images of another disk, or its own.
+
+    A contact is identified by its disks.
+
+    Raises
+    ------
+    InputError
+        If the cell is too small for its disks.
+    """
+    widest = min(state.length, state.height) / 2 - float(np.sort(state.radii)[-2:].sum())
+    if widest < SKINS[0]:
+        cell = f"{state.length:.3g} x {state.height:.3g}"
+        raise InputError(f"shear: a cell of {cell} is too small for disks of these sizes")
+    return widest
+
+
+def saved_state(saved: Mapping[str, Any], model: Model) -> State:
+    """Return the state of a checkpoint, in its order.
+
+    Raises
+    ------
+    InputError
+        If its contacts are not those of its disks.
+    """
+    q, radii, tags = saved["q"], saved["radii"], np.arange(len(saved["tag"]))
+    if not (np.array_equal(np.sort(saved["tag"]), tags) and np.isin(saved["contacts"][:, :2], tags).all()):
+        raise InputError("checkpoint: tag or contacts contain disks that do not exist")
+    length, strain, rate, time, _ = (float(x) for x in saved["numbers"])
+    cell = (length, strain, rate, time, model.potential.name, float(saved["height"][0]))
+    return State(q[:, :2], q[:, 2:4], q[:, 4] / radii, radii, *cell, saved.get("angles"))
