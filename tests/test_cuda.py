@@ -241,7 +241,7 @@ def test_disks_that_fly_apart_are_an_error(flow):
     engine = CudaSimulation(flow, Model.of("CD", 1.0), DT)
     with pytest.raises(SolverError, match="take a smaller dt"):
         engine.advance(*course(engine, 50, 1e6 * (-1) ** np.arange(50)), "profile")
-    few = replace(flow, radii=np.append(2.0, np.full(21, 0.1)), positions=np.zeros((22, 2)), length=12.0)
+    few = replace(flow, radii=np.append(2.0, np.full(21, 0.1)), positions=np.zeros((22, 2)), length=12.0, height=12.0)
     crowd = replace(few, **{name: np.concatenate(2 * [getattr(few, name)]) for name in VALUES})
     with pytest.raises(InputError, match="more than 32 neighbours"):
         CudaSimulation(crowd, Model.of("CD", 1.0), 0.01).energy()

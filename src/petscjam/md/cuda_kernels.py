@@ -41,7 +41,7 @@ from petscjam.md.engine import (
 )
 
 REGISTERS = 65536  # of a multiprocessor
-SIMULATED = bool(numba.config.ENABLE_CUDASIM)
+SIMULATED: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
 # Numbers of a run
 (LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
 # Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
@@ -60,9 +60,9 @@ MASK, IMAGES = (1 << 26) - 1, 26  # a neighbour and its image, in one integer
 HERE = 12  # the image of a neighbour that is a disk itself
 NONE = (1 << 62) - 1
 PLACES = 32  # of a list of neighbours
-# Arrays on the card, by type, with their axes: R runs, N disks, M cells, C places of a cell, T threads and B blocks of a
-# run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m. The
-# list: code (neighbour and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of the contact);
+# Arrays on the card, by type, with their axes: R runs, N disks, M cells, C places of a cell, T threads and B blocks of
+# a run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m. The
+# list: code (neighbour and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of contact);
 # count neighbours, of which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these
 # contacts, their number. filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain
 # left out, at the last build. state: how the launch ends, and the last check at which a disk had moved too far. angles,
@@ -72,7 +72,8 @@ AXES = {
     "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, inverse: R 32N, built: R 3, "
     f"numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
     "f4": "gap: R 32N",
-    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 8, done: R 7, key: R T, keys: R B",
+    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 8, done: R 7, "
+    "key: R T, keys: R B",
     "i4": "code: R 32N, count: R N, z: R N, open: 32 R N, held: R N, filled: R M, members: R C M, state: R 2",
     "u4": "bits: R N",
 }
@@ -81,7 +82,7 @@ SHAPES = {
     for kind, text in AXES.items()
     for name, axes in (item.split(": ") for item in text.split(", "))
 }
-Runs = namedtuple("Runs", SHAPES)
+Runs: Any = namedtuple("Runs", list(SHAPES))  # type: ignore[misc]
 
 
 class Law(NamedTuple):
@@ -196,7 +197,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 return 1.0 * call_dU(x)
             return 1.0 * call_d2U(x)
 
-    def law_of(function):
+    def law_of(function: Any) -> Any:
         return device(FunctionType(function.__code__, {**function.__globals__, "call": call}))
 
     contact, stiffness, energy = law_of(laws.contact), law_of(laws.stiffness), law_of(laws.energy)

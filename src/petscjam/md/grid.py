@@ -20,7 +20,7 @@ from petscjam.parallel.comm import Comm, agree, on_root
 from petscjam.parallel.teams import Failure, Team, deal, share
 from petscjam.rows.damping import DampingLaw
 
-Abreast = Callable[[Sequence[Any], Callable[[Any], Any], Callable[[Any, Run], None]], Iterator[Failure[Any]]]
+Abreast = Callable[[Sequence[Any], Callable[[Any], Any], Callable[[Any, Run], None], int], Iterator[Failure[Any]]]
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,9 @@ def run_grid(
         done(point, begin(point, report))
 
     def many(mine: list[Point], team: Team) -> Iterator[Failure[Point]]:
-        parts = dict.fromkeys(mine, 0.0)
+        from mpi4py import MPI
+
+        parts, node = dict.fromkeys(mine, 0.0), comm.Split_type(MPI.COMM_TYPE_SHARED)
 
         def report(point: Point, fraction: float, text: str) -> None:
             parts[point] = fraction
@@ -160,9 +162,8 @@ def run_grid(
                 progress(sum(parts.values()) / len(parts), f"{len(parts)} runs, {point.name}: {text}")
 
         assert abreast is not None
-        yield from abreast(
-            sorted(mine, key=lambda point: point.n or 0), lambda point: begin(point, partial(report, point)), done
-        )
+        by_size = sorted(mine, key=lambda point: point.n or 0)
+        yield from abreast(by_size, lambda point: begin(point, partial(report, point)), done, node.rank)
 
     def cost(point: Point) -> float:
         return point.cost
