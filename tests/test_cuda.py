@@ -166,7 +166,7 @@ def test_cells_of_any_height_masses_and_any_number_of_disks(flow, wide):
 
 @pytest.mark.parametrize("integrator", ["heun", "single"])
 def test_a_stopped_run_continues_bit_for_bit(tmp_path, wide, integrator):
-    given = SMALL | {"n": 16, "strain": 0.06, "integrator": integrator, "engine": "cuda", "dt": 0.05}
+    given = SMALL | {"n": 16, "strain": 0.06, "integrator": integrator, "engine": "cuda", "dt": 0.05, "angles": True}
     file = tmp_path / "run.h5"
     with pytest.raises(StoppedError):
         pj.md.shear(**given, output=file, progress=stop_at(0.5))
@@ -177,6 +177,7 @@ def test_a_stopped_run_continues_bit_for_bit(tmp_path, wide, integrator):
     cpu = pj.md.shear(**given | {"engine": "cpu"})
     for name in ("elastic_xx", "heat", "energy", "work", "contacts", "dvx2"):
         assert whole.rows[name] == pytest.approx(cpu.rows[name], rel=1e-9 if integrator == "heun" else 1e-3), name
+    assert whole.state.angles == pytest.approx(cpu.state.angles, rel=1e-9 if integrator == "heun" else 1e-3)
     for name in ("made", "broken"):
         assert whole.rows[name].sum() == cpu.rows[name].sum()
 

@@ -103,6 +103,7 @@ class CudaSimulation:
         self.wide, self.skin = n > MOST, self._within(float(np.sqrt(BALANCE[integrator] * pace * self.dt)))
         self.q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
         self.R, self.m, self.tag = state.radii.copy(), masses_of(n, model, masses), np.arange(n)
+        self.turned = None if state.angles is None else state.angles.copy()  # angles of the disks
         self.contacts = np.empty((0, 3), np.int64)
         self.steps = self.rebuilds = self.substeps = 0
         self.parts = self.divided = self.most = 1
@@ -126,6 +127,7 @@ class CudaSimulation:
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         self.q, self.R, self.m, self.tag = q[order], self.R[order], self.m[order], self.tag[order]
+        self.turned = None if self.turned is None else self.turned[order]
         self.contacts = np.column_stack([place[contacts[:, :2]], contacts[:, 2]])
 
     @property
@@ -293,8 +295,7 @@ class CudaSimulation:
             Sums.
         """
         sums, seen = np.zeros(SAMPLED), self.look
-        disks = kernels.Disks(seen.q, seen.q, seen.q, self.R, self.m, seen.q)
-        kernels.sample_disks(disks, self.height, self.rate, layers, sums)
+        kernels.sample_disks(seen.q, self.R, self.m, self.height, self.rate, layers, sums)
         sums[[NORMAL2, TANGENTIAL2, CONTACTS]] = seen.sums[[card.SQUARES, card.SQUARES_T, card.NUMBER]]
         products = np.zeros((4, 4))
         products[np.tril_indices(4)] = seen.sums[card.SECOND : card.ONE]
@@ -312,11 +313,11 @@ class CudaSimulation:
     @property
     def state(self) -> State:
         """The current state, disks in the order of the start."""
-        now = self.q if self.batch is None else self.look.q
-        q, R = np.empty_like(now), np.empty_like(self.R)
-        q[self.tag], R[self.tag] = now, self.R
+        place = np.argsort(self.tag)
+        q, R = (self.q if self.batch is None else self.look.q)[place], self.R[place]
         cell, name = (self.length, self.strain, self.rate, self.time), self.model.potential.name
-        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height)
+        angles = None if self.turned is None else self.turned[place]
+        return State(q[:, :2], q[:, 2:4], q[:, 4] / R, R, *cell, name, self.height, angles)
 
     def checkpoint(self) -> dict[str, Any]:
         """Build a new list; return everything that :meth:`restored` needs to continue bit for bit.
@@ -332,7 +333,7 @@ class CudaSimulation:
         if self.error is not None:
             raise self.error
         self.divided = self.parts
-        return {
+        saved = {
             "q": self.seen.q,
             "radii": self.R,
             "masses": self.m,
@@ -343,6 +344,7 @@ class CudaSimulation:
             "counts": np.array([self.steps, self.rebuilds]),
             "start": self.start,
         }
+        return saved if self.turned is None else saved | {"angles": self.turned}
 
     @classmethod
     def restored(
@@ -364,7 +366,9 @@ class CudaSimulation:
         InputError
             If its contacts are not those of its disks.
         """
-        new = cls(saved_state(saved, model), model, dt, integrator, threads, saved["masses"])
+        state = saved_state(saved, model)
+        new = cls(state, model, dt, integrator, threads, saved["masses"])
+        new.turned = None if state.angles is None else state.angles.copy()
         new.q, new.R, new.m, new.tag = (saved[name].copy() for name in ("q", "radii", "masses", "tag"))
         place = np.empty_like(new.tag)
         place[new.tag] = np.arange(len(new))

@@ -27,7 +27,7 @@ STRETCH = 2048  # parts of steps of a launch: a signal waits for no more
 THREADS = (2, 3) if card.SIMULATED else (512, 1024)
 
 
-COPIED = "numbers", "orders", "state", "course", "done", "sums", "now", "keys", "angles", "duration", "held"
+COPIED = "numbers", "orders", "state", "course", "done", "sums", "now", "keys", "angles", "duration", "held", "angle"
 
 
 class Seen(NamedTuple):
@@ -107,6 +107,8 @@ class Batch:
                 self.card[name][k, run.place].copy_to_device(row)
         for name, values in (("now", run.q), ("R", run.R), ("m", run.m), ("light", 1 / run.m), ("held", held)):
             self.card[name][run.place].copy_to_device(np.ascontiguousarray(values, card.SHAPES[name][0]).ravel())
+        if run.turned is not None:
+            self.card["angle"][run.place].copy_to_device(run.turned)
         run.gather = 0
 
     def drop(self, run: Simulated) -> None:
@@ -120,7 +122,7 @@ class Batch:
         for run, course in courses.items():
             self.host["course"][run.place, :, : len(course.strains)] = course.strains, course.rates
             self.host["numbers"][run.place] = run.numbers
-            more = course.bulk, run.steps * TICKS, *run.cells, run.gather, course.counted
+            more = course.bulk, run.steps * TICKS, *run.cells, run.gather, course.counted, int(run.turned is not None)
             orders[run.place] = course.end, run.parts, *more
         for name in ("numbers", "orders", "state", "course"):
             self.card[name].copy_to_device(self.host[name])
@@ -181,6 +183,8 @@ class Batch:
             total[card.ONE :] = sums[run.place, keys[run.place].argmin(), card.ONE :]
             if keys[run.place].min() == card.NONE:
                 total[card.ONE :] = np.nan
+            if run.turned is not None:
+                run.turned = self._copy("angle")[0][run.place]
             events = angles[run.place], int(duration[run.place, 0])
             run.seen = Seen(now[run.place].reshape(-1, 5), total, *events, run in closing)
 

@@ -45,9 +45,9 @@ SIMULATED: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
 # Numbers of a run
 (LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
 # Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
-# rate, tick of the start, columns and rows of cells, whether contacts are those of the lists (1) or of ``open``, and
-# whether the sums at the start are counted already.
-(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER, COUNTED) = range(8)
+# rate, tick of the start, columns and rows of cells, whether contacts are those of the lists (1) or of ``open``,
+# whether the sums at the start are counted already, and whether angles are kept.
+(END, PARTS, BULK, TICK, COLUMNS, ROWS, GATHER, COUNTED, TURNS) = range(9)
 # Results of a launch: parts of steps made, lists made, parts of steps before the last of them, parts of a step that the
 # contacts require, whether the rate of the next part has begun, whether its sums are counted, and how the launch ended.
 (MADE, BUILDS, BEGUN, DEMAND, CHANGED, HALFWAY, STATUS) = range(7)
@@ -61,7 +61,8 @@ HERE = 12  # the image of a neighbour that is a disk itself
 NONE = (1 << 62) - 1
 PLACES = 32  # of a list of neighbours
 # Arrays on the card, by type, with their axes: R runs, N disks, M cells, C places of a cell, T threads and B blocks of
-# a run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m. The
+# a run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m;
+# angle, if it is kept. The
 # list: code (neighbour and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of contact);
 # count neighbours, of which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these
 # contacts, their number. filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain
@@ -69,10 +70,10 @@ PLACES = 32  # of a list of neighbours
 # duration: events since the run began. course: strains at the beginnings of parts and at the end, and rates before and
 # in them. s: what forces are computed from, if it is not in shared memory.
 AXES = {
-    "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, inverse: R 32N, built: R 3, "
-    f"numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
+    "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, angle: R N, inverse: R 32N, "
+    f"built: R 3, numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
     "f4": "gap: R 32N",
-    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 8, done: R 7, "
+    "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 9, done: R 7, "
     "key: R T, keys: R B",
     "i4": "code: R 32N, count: R N, z: R N, open: 32 R N, held: R N, filled: R M, members: R C M, state: R 2",
     "u4": "bits: R N",
@@ -580,20 +581,20 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             for i in range(first, n, threads):
                 a = index(i)
                 f, e, long = force(a, n, s, at, R, lists, law, cell, tick, single, angles)
-                h, p = 0.5 * dt * light[a], at + 5 * a
+                h, p, before = 0.5 * dt * light[a], at + 5 * a, q[4 * n + a]
                 if heun:
                     u, v = q[2 * n + a], q[3 * n + a]
                     u1, v1 = u + h * (F[a] + f[0]), v + h * (F[n + a] + f[1])
                     q[a] += 0.5 * dt * (u + u1)
                     q[n + a] += 0.5 * dt * (v + v1)
                     q[2 * n + a], q[3 * n + a] = u1, v1
-                    q[4 * n + a] += h * (F[2 * n + a] + f[2])
+                    q[4 * n + a] = before + h * (F[2 * n + a] + f[2])
                 else:
                     duration += long
                     x, y, u, v, w = s[p], s[p + 1], s[p + 2], s[p + 3], s[p + 4]
                     q[a], q[n + a], q[2 * n + a] = x, y, 0.5 * (q[2 * n + a] + u) + h * f[0]
                     q[3 * n + a] = 0.5 * (q[3 * n + a] + v) + h * f[1]
-                    q[4 * n + a] = 0.5 * (q[4 * n + a] + w) + h * f[2]
+                    q[4 * n + a] = 0.5 * (before + w) + h * f[2]
                     F[a], F[n + a], F[2 * n + a] = f
                     cx, mass = u - rate * y, m[a]
                     exx, exy, eyy = exx + e[0], exy + e[1], eyy + e[2]
@@ -601,6 +602,8 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                     kxx, kxy, kyy = kxx + mass * cx * cx, kxy + mass * cx * v, kyy + mass * v * v
                     touching, heat = touching + e[7], heat + e[8]
                     work += e[9] - rate * (e[1] + e[4] + mass * cx * v)
+                if orders[TURNS] == 1:
+                    runs.angle[run, a] += 0.5 * dt * (before + q[4 * n + a]) / R[a]
             k, counted = k + 1, False
         for i in range(first, n, threads):
             a = index(i)

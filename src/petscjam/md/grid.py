@@ -93,7 +93,7 @@ def grid(
 def run_grid(
     points: Sequence[Point],
     folder: Path,
-    work: Callable[..., Run],
+    work: Callable[..., Any],
     *,
     comm: Comm,
     resume: bool = False,

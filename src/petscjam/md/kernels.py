@@ -629,18 +629,18 @@ def elastic_energy(q, pairs, law, exponent, strain):
 
 
 @njit(cache=True, error_model="numpy")
-def sample_disks(disks, height, rate, layers, sums):
+def sample_disks(q, R, m, height, rate, layers, sums):
     """Add observables of disks to ``layers`` and ``sums`` (:meth:`petscjam.md.engine.Engine.sample`).
 
     Parameters
     ----------
-    disks : Disks
+    q : (N, 5)
+    R, m : (N,)
     height, rate : float
         Ly and γ̇.
     layers, sums : arrays
         Overwritten.
     """
-    q, R, m = disks.q, disks.R, disks.m
     for a in range(len(q)):
         spin, row = q[a, 4] / R[a], np.floor(q[a, 1] / height)
         y, vx = q[a, 1] - row * height, q[a, 2] - row * rate * height
@@ -686,9 +686,8 @@ def sample_contacts(q, pairs, law, now, layers, moments, scatter, sums):
             v[2] = v[0] + v[1]
             v[3] = -(vx * x + vy * y) / r
             turn = law.rolls * v[1] / r
-            spring, gx, gy, _ = _contact(
-                x, y, vx + turn * y, vy - turn * x, pairs.inverse[c], law, law.exponent, law.absolute, law.dU
-            )
+            friction, kind = (law.normal, law.tangential), (law.exponent, law.absolute, law.dU)
+            spring, gx, gy, _ = _contact(x, y, vx + turn * y, vy - turn * x, 1.0 / r, pairs.inverse[c], *friction, *kind)
             for a in (pairs.i[c], pairs.j[c]):
                 s = q[a, 1] / pairs.height
                 layer = min(int((s - np.floor(s)) * count), count - 1)

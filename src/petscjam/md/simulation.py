@@ -294,8 +294,9 @@ class Simulation:
             Sums.
         """
         sums = np.zeros(SAMPLED)
-        kernels.sample_disks(self._disks, self.height, self.rate, layers, sums)
-        kernels.sample_contacts(self._disks.q, self._pairs, self._law, self._moment, layers, moments, scatter, sums)
+        d = self._disks
+        kernels.sample_disks(d.q, d.R, d.m, self.height, self.rate, layers, sums)
+        kernels.sample_contacts(d.q, self._pairs, self._law, self._moment, layers, moments, scatter, sums)
         return sums
 
     @property
