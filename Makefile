@@ -10,7 +10,7 @@ READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
 .PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-bounds \
-    bench-scaling bench-lammps bench-shear clean
+    bench-scaling bench-lammps bench-shear bench-cuda clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -82,6 +82,9 @@ bench-lammps: $(READY) ## minimisation compared with LAMMPS, in a separate envir
 bench-shear: $(READY) ## steps per second of sheared disks compared with LAMMPS (ten minutes), and steady states
 	$(PYTHON) benchmarks/shear_lammps.py
 	$(PYTHON) benchmarks/shear_lammps.py --physics
+
+bench-cuda: $(READY) ## sheared disks on this machine's GPU: agreement with the CPU, and steps per second (five minutes)
+	$(PYTHON) benchmarks/shear_cuda.py
 
 clean: ## remove all built and computed files, but not .venv
 	rm -rf docs/_build docs/_generated build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

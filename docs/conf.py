@@ -1,4 +1,7 @@
+import os
 from pathlib import Path
+
+os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # petscjam.md.cuda is imported without a GPU
 
 project = "petscjam"
 author = copyright = "The petscjam developers"

@@ -165,8 +165,10 @@ def test_cells_of_any_height_masses_and_any_number_of_disks(flow, wide):
 
 
 @pytest.mark.parametrize("integrator", ["heun", "single"])
-def test_a_stopped_run_continues_bit_for_bit(tmp_path, wide, integrator):
-    given = SMALL | {"n": 16, "strain": 0.06, "integrator": integrator, "engine": "cuda", "dt": 0.05, "angles": True}
+def test_a_stopped_run_continues_bit_for_bit(tmp_path, flow, wide, integrator):
+    """Disks of a large run are sorted at a strain of 1."""
+    given = {"model": "CD_rot", "rate": 1e-2, "strain": 0.06, "integrator": integrator, "dt": 0.05, "angles": True}
+    given |= {"engine": "cuda", "start": replace(flow, strain=0.97)}
     file = tmp_path / "run.h5"
     with pytest.raises(StoppedError):
         pj.md.shear(**given, output=file, progress=stop_at(0.5))

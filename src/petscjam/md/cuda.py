@@ -104,7 +104,7 @@ class CudaSimulation:
         self.q = np.column_stack([state.positions, state.velocities, state.spins * state.radii])
         self.R, self.m, self.tag = state.radii.copy(), masses_of(n, model, masses), np.arange(n)
         self.turned = None if state.angles is None else state.angles.copy()  # angles of the disks
-        self.contacts = np.empty((0, 3), np.int64)
+        self.contacts, self.sorted = np.empty((0, 3), np.int64), np.floor(self.strain)
         self.steps = self.rebuilds = self.substeps = 0
         self.parts = self.divided = self.most = 1
         self.total, self.start = np.zeros(SUMS), np.empty(0)
@@ -129,6 +129,7 @@ class CudaSimulation:
         self.q, self.R, self.m, self.tag = q[order], self.R[order], self.m[order], self.tag[order]
         self.turned = None if self.turned is None else self.turned[order]
         self.contacts = np.column_stack([place[contacts[:, :2]], contacts[:, 2]])
+        self.sorted = np.floor(self.strain)
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -378,6 +379,13 @@ class CudaSimulation:
         new.rebuilds -= 1
         new.start = saved["start"].copy()
         return new
+
+
+def name() -> str:
+    """Return the name of the card, and versions."""
+    chip = "numba's simulator" if simulated else cuda.get_current_device().name
+    chip = chip.decode() if isinstance(chip, bytes) else chip
+    return f"{chip}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def together(requests: Iterable[Advance]) -> None:

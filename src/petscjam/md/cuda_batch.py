@@ -27,6 +27,7 @@ STRETCH = 2048  # parts of steps of a launch: a signal waits for no more
 THREADS = (2, 3) if card.SIMULATED else (512, 1024)
 
 
+LISTS = "code", "inverse", "gap", "since", "open", "began", "members"
 COPIED = "numbers", "orders", "state", "course", "done", "sums", "now", "keys", "angles", "duration", "held", "angle"
 
 
@@ -72,7 +73,7 @@ class Batch:
         need = sum(math.prod(self._shape(name)) * np.dtype(kind).itemsize for name, (kind, _) in card.SHAPES.items())
         if need > free_memory():
             raise InputError(f"shear: {places} runs of {n} disks need {need / 2**20:.0f} MB on the GPU; less is free")
-        self.card = {name: cuda.to_device(np.zeros(self._shape(name), card.SHAPES[name][0])) for name in card.SHAPES}
+        self.card = {name: self._array(name) for name in card.SHAPES}
         self.host = {name: cuda.pinned_array(self._shape(name), card.SHAPES[name][0]) for name in COPIED}
 
     def _shape(self, name: str) -> list[int]:
@@ -80,6 +81,11 @@ class Batch:
             math.prod(self.sizes.get(size) or int(size) for size in re.findall(r"\d+|[A-Z]", axis))
             for axis in card.SHAPES[name][1]
         ]
+
+    def _array(self, name: str) -> Any:
+        """Return an array on the card, of zeros unless it is a list."""
+        kind, shape = card.SHAPES[name][0], self._shape(name)
+        return cuda.device_array(shape, kind) if name in LISTS else cuda.to_device(np.zeros(shape, kind))
 
     def _copy(self, *names: str) -> list[NDArray[Any]]:
         """Copy arrays from the card."""
@@ -143,7 +149,7 @@ class Batch:
         done, sums = self._copy("done", "sums")
         if card.CROWDED in [done[run.place, card.STATUS] for run in courses]:
             self.sizes["C"] *= 2
-            self.card["members"] = cuda.to_device(np.zeros(self._shape("members"), card.SHAPES["members"][0]))
+            self.card["members"] = self._array("members")
         return [(done[run.place], sums[run.place, :, :SUMS].sum(0)) for run in courses]
 
     def make(self, jobs: Iterable[Job]) -> None:
@@ -197,16 +203,16 @@ class Batch:
         for run in runs:
             there = np.arange(most)[:, None] < held[run.place]
             i, j = np.nonzero(there.T)[0], open[:, run.place].T[there.T]
-            rows = np.column_stack([i, j, began[:, run.place].T[there.T]])[i < j]
-            found[run] = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+            found[run] = np.column_stack([i, j, began[:, run.place].T[there.T]])[i < j]
         return found
 
     def save(self, runs: Sequence[Simulated]) -> None:
-        """Build new lists, of a large run with its disks sorted in space; the checkpoint waits in each run."""
+        """Build new lists; the checkpoint waits in each run. Large runs are sorted in space at every unit of strain."""
         before, done = {run: run.seen for run in runs}, self.build(runs)
         contacts = self.contacts(runs)
-        if self.wide:
-            (run,) = runs
+        for run in runs if self.wide else ():
+            if math.floor(run.strain) == run.sorted:
+                continue
             self.see(runs)
             run.sort(run.seen.q, contacts[run])
             self.put(run)
