@@ -122,7 +122,14 @@ class CudaSimulation:
         return len(self.tag)
 
     def sort(self, q: Array, contacts: NDArray[np.int64]) -> None:
-        """Sort the disks in space."""
+        """Sort the disks in space.
+
+        Parameters
+        ----------
+        q : (N, 5)
+        contacts : (C, 3)
+            By place, with their ticks.
+        """
         order = order_in_space(q, self.length, self.height)
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
@@ -152,7 +159,14 @@ class CudaSimulation:
         return columns, rows
 
     def check(self, rates: Array, bulk: int) -> None:
-        """Refuse to scale velocities from a strain rate of 0."""
+        """Refuse to scale velocities from a strain rate of 0.
+
+        Parameters
+        ----------
+        rates : (K + 1,)
+        bulk : int
+            A value of ``BULK``.
+        """
         if bulk == 1 and (rates[:-1] == 0).any() and (rates[1:] != rates[:-1]).any():
             text = "shear: velocities cannot be scaled from a strain rate of 0; choose another bulk"
             self.error = InputError(text)
@@ -190,7 +204,15 @@ class CudaSimulation:
             raise self.error
 
     def took(self, made: int, parts: int, steps: int, done: NDArray[np.int64], sums: Array) -> None:
-        """Count what a launch has made: so many parts and complete steps."""
+        """Count what a launch has made.
+
+        Parameters
+        ----------
+        made, parts, steps : int
+            Parts of steps, parts of a step, complete steps.
+        done, sums : arrays
+            Results and sums of the launch (:mod:`petscjam.md.cuda_kernels`).
+        """
         self.substeps += made
         self.steps += steps
         self.time += made * self.dt / parts

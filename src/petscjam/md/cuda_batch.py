@@ -178,7 +178,13 @@ class Batch:
         return results
 
     def see(self, runs: Sequence[Simulated], closing: Iterable[Simulated] = ()) -> None:
-        """Look at some runs, at those that are ``closing`` also for the trapezoidal rule."""
+        """Look at some runs.
+
+        Parameters
+        ----------
+        runs, closing : sequences of CudaSimulation
+            All, and those that need the sums for the trapezoidal rule.
+        """
         if not runs:
             return
         closing = {*closing}
@@ -282,7 +288,13 @@ class Job:
         return Course(self.at[self.made :], self.fine[self.made :], end, self.bulk, self.counted)
 
     def took(self, done: NDArray[np.int64], sums: Array) -> None:
-        """Count what a launch has made."""
+        """Count what a launch has made.
+
+        Parameters
+        ----------
+        done, sums : arrays
+            Results and sums of the launch (:mod:`petscjam.md.cuda_kernels`).
+        """
         run, end = self.run, self.made + int(done[card.MADE])
         if end % self.parts:
             done[card.DEMAND] = self.parts  # until the step is complete

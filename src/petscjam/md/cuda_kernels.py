@@ -133,31 +133,31 @@ else:
     INLINE = {"forceinline": True}
 
 
-def device(function):
+def _device(function):
     """Compile a function for the card, inside its callers."""
     return cuda.jit(device=True, **INLINE)(function)
 
 
-@device
-def cell_of(numbers, strain, turns, rate):
+@_device
+def _cell_of(numbers, strain, turns, rate):
     """Return the cell at a strain; ``turns`` whole cells are left out."""
     return Cell(numbers[LX], numbers[LY], strain * numbers[LY] - turns * numbers[LX], rate * numbers[LY], rate)
 
 
-@device
-def lists_of(runs, run):
+@_device
+def _lists_of(runs, run):
     """Return the lists of a run."""
     return Lists(runs.code[run], runs.inverse[run], runs.since[run], runs.count[run], runs.bits[run])
 
 
-@device
+@_device
 def image(code):
     """Return the column and the row of the image of a neighbour."""
     return short((code >> IMAGES & 7) - 4), short((code >> IMAGES + 3) - 1)
 
 
-@device
-def separation(code, a, s, at, cell):
+@_device
+def _separation(code, a, s, at, cell):
     """Return rji, vji with the image of j."""
     i, j = at + 5 * a, at + 5 * (code & MASK)
     right, up = image(code)
@@ -188,9 +188,9 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
     if alpha:
         call = None
     else:
-        call_U, call_dU, call_d2U = (device(f) for f in (potential.U, potential.dU, potential.d2U))
+        call_U, call_dU, call_d2U = (_device(f) for f in (potential.U, potential.dU, potential.d2U))
 
-        @device
+        @_device
         def call(which, x):
             if which == 0:
                 return 1.0 * call_U(x)
@@ -199,23 +199,23 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             return 1.0 * call_d2U(x)
 
     def law_of(function: Any) -> Any:
-        return device(FunctionType(function.__code__, {**function.__globals__, "call": call}))
+        return _device(FunctionType(function.__code__, {**function.__globals__, "call": call}))
 
     contact, stiffness, energy = law_of(laws.contact), law_of(laws.stiffness), law_of(laws.energy)
     angle_bin, fastest = law_of(laws.angle_bin), law_of(laws.fastest)
 
     if wide:
 
-        @device
+        @_device
         def barrier():
             cuda.cg.this_grid().sync()
     else:
 
-        @device
+        @_device
         def barrier():
             cuda.syncthreads()
 
-    @device
+    @_device
     def events(a, n, s, at, lists, cell, tick, before, now, angles):
         """Record contacts of disk a that begin, or cease; return the durations. The first of both counts."""
         duration, changed = 0, index(before ^ now)
@@ -229,12 +229,12 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             if a < code & MASK:
                 if not touch:
                     duration += tick - lists.since[place]
-                x, y, u, v = separation(code, a, s, at, cell)
+                x, y, u, v = _separation(code, a, s, at, cell)
                 cuda.atomic.add(angles, (0 if touch else 1, angle_bin(x, y, u, v)), 1)
         lists.bits[a] = now
         return duration
 
-    @device
+    @_device
     def force(a, n, s, at, R, lists, law, cell, tick, measure, angles):
         """Return force and torque on disk a, its share of the sums, and durations; with ``measure`` record events."""
         i = at + 5 * a
@@ -291,13 +291,13 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             duration,
         )
 
-    @device
+    @_device
     def to_cells(runs, run, first, threads, strain, rate, turns):
         """Wrap the disks, remember their contacts, and put them into cells."""
-        now, home, lists = runs.now[run], runs.home[run], lists_of(runs, run)
+        now, home, lists = runs.now[run], runs.home[run], _lists_of(runs, run)
         filled, members = runs.filled[run], runs.members[run]
         numbers, orders, n = runs.numbers[run], runs.orders[run], runs.R.shape[1]
-        cell, columns, rows = cell_of(numbers, strain, turns, rate), orders[COLUMNS], orders[ROWS]
+        cell, columns, rows = _cell_of(numbers, strain, turns, rate), orders[COLUMNS], orders[ROWS]
         for c in range(first, columns * rows, threads):
             filled[c] = 0
         if first == 0:
@@ -333,10 +333,10 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 runs.state[run, 0] = CROWDED
         barrier()
 
-    @device
+    @_device
     def list_neighbours(a, runs, run, cell):
         """List the neighbours of disk a by their gap, and mark those in contact."""
-        now, R, lists, gap = runs.now[run], runs.R[run], lists_of(runs, run), runs.gap[run]
+        now, R, lists, gap = runs.now[run], runs.R[run], _lists_of(runs, run), runs.gap[run]
         filled, members = runs.filled[run], runs.members[run]
         n, columns, rows = len(R), runs.orders[run, COLUMNS], runs.orders[run, ROWS]
         x, y, reach = now[5 * a], now[5 * a + 1], R[a] + runs.numbers[run, SKIN]
@@ -379,16 +379,16 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 runs.state[run, 0] = LOST
         lists.count[a], lists.bits[a], runs.z[run, a] = found, bits, z
 
-    @device
+    @_device
     def bounds(a, runs, run, law, cell):
         """Return the bounds of disk a for the eigenvalues of M⁻¹B and M⁻¹K (:func:`petscjam.md.contact.fastest`)."""
-        now, z, lists, n = runs.now[run], runs.z[run], lists_of(runs, run), runs.R.shape[1]
+        now, z, lists, n = runs.now[run], runs.z[run], _lists_of(runs, run), runs.R.shape[1]
         s = cuda.local.array(9, float64)
         for k in range(9):
             s[k] = 0.0
         for c in range(lists.count[a]):
             code, inverse = lists.code[c * n + a], lists.inverse[c * n + a]
-            x, y, _, _ = separation(code, a, now, 0, cell)
+            x, y, _, _ = _separation(code, a, now, 0, cell)
             x *= inverse
             y *= inverse
             square = x * x + y * y
@@ -407,7 +407,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 s[8] += w * square
         return fastest(s, runs.m[run, a], runs.R[run, a], law.normal, law.tangential, law.rolls, law.body, law.drag)
 
-    @device
+    @_device
     def demand(relaxation, oscillation, dt):
         """Return the parts of a step that are needed for stability (:func:`petscjam.md.model.stable_step`)."""
         if heun:
@@ -422,12 +422,12 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             parts *= 2
         return parts
 
-    @device
+    @_device
     def build(runs, run, first, threads, law, strain, rate):
         """List the neighbours of all disks; return the whole cells of strain that are left out, and parts needed."""
         turns = math.floor(strain * runs.numbers[run, LY] / runs.numbers[run, LX] + 0.5)
         to_cells(runs, run, first, threads, strain, rate, turns)
-        cell, n = cell_of(runs.numbers[run], strain, turns, rate), runs.R.shape[1]
+        cell, n = _cell_of(runs.numbers[run], strain, turns, rate), runs.R.shape[1]
         for a in range(first, n, threads):
             list_neighbours(a, runs, run, cell)
         barrier()
@@ -443,7 +443,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         dt = runs.numbers[run, DT] * runs.orders[run, PARTS]
         return turns, demand(runs.built[run, 0], runs.built[run, 1], dt)
 
-    @device
+    @_device
     def jump(a, q, m, n, Ly, old, new, bulk):
         """Change the strain rate for disk a; return the change of its energy (:func:`petscjam.md.kernels.jump`)."""
         y, gain = q[n + a], 0.0
@@ -461,7 +461,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         x, v, w = q[2 * n + a] - new * y, q[3 * n + a], q[4 * n + a]
         return gain + m[a] * (0.5 * (x * x + v * v) + 0.25 * w * w)
 
-    @device
+    @_device
     def add_up(runs, run, thread, names):
         """Add the sums of the threads of a block, in their order."""
         cuda.syncthreads()
@@ -491,7 +491,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             runs.m[run],
             runs.light[run],
             runs.home[run],
-            lists_of(runs, run),
+            _lists_of(runs, run),
             runs.angles[run],
         )
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
@@ -521,7 +521,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 break
             rate, tick = rates[k + 1], orders[TICK] + k * ticks
             changed, change = rate != old, rate - old
-            cell = cell_of(numbers, strains[k], turns, rate)
+            cell = _cell_of(numbers, strains[k], turns, rate)
             if heun or fresh or changed:
                 if wide:
                     at = 5 * n - at
@@ -548,7 +548,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                         dxx, dxy, dyx, dyy = dxx + e[3], dxy + e[4], dyx + e[5], dyy + e[6]
                         touching, heat, work = touching + e[7], heat + e[8], work + e[9] - rate * (e[1] + e[4])
                 old, fresh = rate, False
-            cell = cell_of(numbers, strains[k + 1], turns, rate)
+            cell = _cell_of(numbers, strains[k + 1], turns, rate)
             shear = strains[k + 1] - built
             room = numbers[SKIN] - numbers[REACH] * (math.sqrt(1.0 + 0.25 * shear * shear) + 0.5 * abs(shear) - 1.0)
             room = max(0.5 * room, 0.0)
@@ -632,9 +632,9 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         numbers, orders, part = runs.numbers[run], runs.orders[run], runs.part[run]
         if orders[END] < 0:
             return
-        now, R, m, lists, rate = runs.now[run], runs.R[run], runs.m[run], lists_of(runs, run), runs.course[run, 1, 0]
+        now, R, m, lists, rate = runs.now[run], runs.R[run], runs.m[run], _lists_of(runs, run), runs.course[run, 1, 0]
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
-        cell, tick = cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), orders[TICK]
+        cell, tick = _cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), orders[TICK]
         sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
         for k in range(LOOKED):
             sums[k] = 0.0
@@ -646,7 +646,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 j = code & MASK
                 if a > j:
                     continue
-                x, y, ux, uy = separation(code, a, now, 0, cell)
+                x, y, ux, uy = _separation(code, a, now, 0, cell)
                 r = math.sqrt(x * x + y * y)
                 if r * inverse < 1.0:
                     sums[ELASTIC] += energy(1.0 - r * inverse, inverse, power, absolute, U)

@@ -362,7 +362,15 @@ class Simulation:
 
 
 def masses_of(n: int, model: Model, masses: ArrayLike | None) -> Array:
-    """Return the masses of ``n`` disks, checked; default: that of the model."""
+    """Return the masses of ``n`` disks, checked.
+
+    Parameters
+    ----------
+    n : int
+    model : Model
+    masses : (N,)
+        In m; default: that of the model.
+    """
     m = np.full(n, model.mass) if masses is None else np.array(masses, dtype=float)
     if m.shape != (n,) or not (m > 0).all():
         raise InputError(f"shear: masses must be {n} numbers above 0, not {shown(masses)}")
@@ -388,6 +396,11 @@ def widest_skin(state: State) -> float:
 
 def saved_state(saved: Mapping[str, Any], model: Model) -> State:
     """Return the state of a checkpoint, in its order.
+
+    Parameters
+    ----------
+    saved : mapping of str to arrays
+    model : Model
 
     Raises
     ------
