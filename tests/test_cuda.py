@@ -213,6 +213,15 @@ def test_a_grid_gives_the_runs_that_each_point_gives_alone(comm, tmp_path, monke
         assert same(pj.md.read(file), alone) == []
 
 
+def test_a_grid_says_which_runs_are_too_large_for_a_batch(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cuda, "MOST", 16)
+    monkeypatch.setattr(CudaSimulation, "MOST", 16)
+    words = "shear --particles 16,18 --phi 0.7 --rate 0.1 --strain 0.1 --dt 0.1 --engine cuda"
+    assert main([*words.split(), "-o", str(tmp_path / "grid")]) == 0
+    assert "1 of 2 runs have more than 16 disks" in capsys.readouterr().err
+    assert len(list((tmp_path / "grid").glob("*.h5"))) == 2
+
+
 def test_a_signal_leaves_the_complete_rows_of_all_runs(tmp_path, monkeypatch):
     files, left = [tmp_path / f"{seed}.h5" for seed in (1, 2)], [7]  # the first row ends with the sixth launch
 

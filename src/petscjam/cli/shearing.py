@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -70,7 +71,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     from petscjam.plots.tables import describe_run
 
     names = "rescale start_bands integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
-    kind = engine_of(options.engine)
+    kind: Any = engine_of(options.engine)
     common = {name: getattr(options, name) for name in [*names.split(), "engine"]}
     alone = options.start[0] if len(options.start) == 1 else None
 
@@ -105,6 +106,10 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     if alone is not None and (options.particles is None or options.phi is None):
         raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
     abreast = getattr(kind, "abreast", None)
+    large = sum((point.n or 0) > getattr(kind, "MOST", math.inf) for point in points)
+    if large and comm.rank == 0:
+        text = f"{large} of {len(points)} runs have more than {kind.MOST} disks: they follow each other on the GPU"
+        print(f"petscjam: {text}", file=sys.stderr, flush=True)
     with progress(options.verb, show=comm.rank == 0) as report:
         some = work if abreast is None else steps
         made, failures = run_grid(

@@ -7,6 +7,7 @@ Axes: i disk, x Cartesian, k step.
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import find_spec
@@ -44,6 +45,7 @@ from petscjam.md.state import State
 simulated: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
 if not simulated and find_spec("numba_cuda") is None:
     raise InputError("shear: the engine cuda needs numba-cuda: pip install 'petscjam[cuda]'")
+os.environ.setdefault("NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS", "0")  # one run is one block
 try:
     from numba import cuda
 
@@ -82,6 +84,7 @@ class CudaSimulation:
     """
 
     CHECKPOINT: ClassVar[Mapping[str, str]] = Simulation.CHECKPOINT
+    MOST: ClassVar[int] = MOST
     abreast: ClassVar[Any]
 
     def __init__(

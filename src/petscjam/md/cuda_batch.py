@@ -76,11 +76,9 @@ class Batch:
         self.card = {name: self._array(name) for name in card.SHAPES}
         self.host = {name: cuda.pinned_array(self._shape(name), card.SHAPES[name][0]) for name in COPIED}
 
-    def _shape(self, name: str) -> list[int]:
-        return [
-            math.prod(self.sizes.get(size) or int(size) for size in re.findall(r"\d+|[A-Z]", axis))
-            for axis in card.SHAPES[name][1]
-        ]
+    def _shape(self, name: str) -> tuple[int, ...]:
+        axes = [re.findall(r"\d+|[A-Z]", axis) for axis in card.SHAPES[name][1]]
+        return tuple(math.prod(self.sizes.get(size) or int(size) for size in axis) for axis in axes)
 
     def _array(self, name: str) -> Any:
         """Return an array on the card, of zeros unless it is a list."""
@@ -128,8 +126,8 @@ class Batch:
         for run, course in courses.items():
             self.host["course"][run.place, :, : len(course.strains)] = course.strains, course.rates
             self.host["numbers"][run.place] = run.numbers
-            more = course.bulk, run.steps * TICKS, *run.cells, run.gather, course.counted, int(run.turned is not None)
-            orders[run.place] = course.end, run.parts, *more
+            first = course.end, run.parts, course.bulk, run.steps * TICKS + course.tick
+            orders[run.place] = *first, *run.cells, run.gather, course.counted, run.turned is not None
         for name in ("numbers", "orders", "state", "course"):
             self.card[name].copy_to_device(self.host[name])
         grid, shared = (self.blocks, 0) if self.wide else (len(self.runs), 40 * self.sizes["N"])
@@ -251,13 +249,17 @@ class Batch:
 
 
 class Course(NamedTuple):
-    """A launch: strains (K + 1,), rates (K + 1,), END, BULK, COUNTED (:mod:`petscjam.md.cuda_kernels`)."""
+    """A launch: strains (K + 1,), rates (K + 1,), END, BULK, COUNTED (:mod:`petscjam.md.cuda_kernels`).
+
+    ``tick`` counts from the beginning of the present step.
+    """
 
     strains: Sequence[float] | Array
     rates: Sequence[float] | Array
     end: int
     bulk: int = 0
     counted: int = 0
+    tick: int = 0
 
 
 class Job:
@@ -284,8 +286,8 @@ class Job:
             steps = min(self.left, max(STRETCH // self.parts, 1))
             self.fine = np.append(self.run.rate, np.repeat(self.rates[1 : steps + 1], self.parts))
             self.at = np.interp(np.arange(len(self.fine)) / self.parts, np.arange(steps + 1), self.strains[: steps + 1])
-        end = len(self.fine) - 1 - self.made
-        return Course(self.at[self.made :], self.fine[self.made :], end, self.bulk, self.counted)
+        end, tick = len(self.fine) - 1 - self.made, self.made % self.parts * (TICKS // self.parts)
+        return Course(self.at[self.made :], self.fine[self.made :], end, self.bulk, self.counted, tick)
 
     def took(self, done: NDArray[np.int64], sums: Array) -> None:
         """Count what a launch has made.
