@@ -16,7 +16,7 @@ from petscjam.cli import main
 from petscjam.geometry.potential import POTENTIALS, Potential, power_law
 from petscjam.md import cuda, protocols, simulation
 from petscjam.md.cuda import CudaSimulation, abreast
-from petscjam.md.engine import JUMPS
+from petscjam.md.engine import JUMPS, LAYERED
 from petscjam.md.grid import grid, run_grid
 from petscjam.md.model import BULK, MODELS, Model
 from petscjam.md.runs import begin, run
@@ -59,7 +59,7 @@ def course(engine, steps, rate=RATE):
 
 def everything(engine, steps, rate=RATE, bulk="scale"):
     """What an engine tells before and after some steps."""
-    layers, moments, scatter = np.zeros((3, 5)), np.zeros((5, 4)), np.full(4, np.nan)
+    layers, moments, scatter = np.zeros((LAYERED, 5)), np.zeros((5, 4)), np.full(4, np.nan)
     told = {"before": engine.energy()}
     engine.advance(*course(engine, steps, rate), bulk)
     told |= {"sample": engine.sample(layers, moments, scatter), "layers": layers, "moments": moments}

@@ -322,6 +322,10 @@ class CudaSimulation:
         """
         sums, seen = np.zeros(SAMPLED), self.look
         kernels.sample_disks(seen.q, self.R, self.m, self.height, self.rate, layers, sums)
+        y = seen.q[:, 1] / self.height
+        layer = np.minimum(((y - np.floor(y)) * layers.shape[1]).astype(int), layers.shape[1] - 1)
+        for k in range(3):
+            layers[3 + k] += np.bincount(layer, seen.stress[k], layers.shape[1])
         sums[[NORMAL2, TANGENTIAL2, CONTACTS]] = seen.sums[[card.SQUARES, card.SQUARES_T, card.NUMBER]]
         products = np.zeros((4, 4))
         products[np.tril_indices(4)] = seen.sums[card.SECOND : card.ONE]

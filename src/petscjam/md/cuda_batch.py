@@ -28,7 +28,21 @@ THREADS = (2, 3) if card.SIMULATED else (512, 1024)
 
 
 LISTS = "code", "inverse", "gap", "since", "open", "began", "members"
-COPIED = "numbers", "orders", "state", "course", "done", "sums", "now", "keys", "angles", "duration", "held", "angle"
+COPIED = (
+    "numbers",
+    "orders",
+    "state",
+    "course",
+    "done",
+    "sums",
+    "now",
+    "stress",
+    "keys",
+    "angles",
+    "duration",
+    "held",
+    "angle",
+)
 
 
 class Seen(NamedTuple):
@@ -36,6 +50,7 @@ class Seen(NamedTuple):
 
     q: Array  # (N, 5)
     sums: Array  # (LOOKED,)
+    stress: Array  # (3, N)
     angles: NDArray[np.int64]  # (2, BINS), since the run has its place
     duration: int
     closing: bool  # whether it has the sums for the trapezoidal rule
@@ -187,7 +202,7 @@ class Batch:
             return
         closing = {*closing}
         self._launch(self.look, {run: Course([run.strain], [run.rate], int(run in closing)) for run in runs})
-        now, sums, keys, angles, duration = self._copy("now", "sums", "keys", "angles", "duration")
+        now, sums, stress, keys, angles, duration = self._copy("now", "sums", "stress", "keys", "angles", "duration")
         for run in runs:
             total = sums[run.place].sum(0)
             total[card.ONE :] = sums[run.place, keys[run.place].argmin(), card.ONE :]
@@ -196,7 +211,9 @@ class Batch:
             if run.turned is not None:
                 run.turned = self._copy("angle")[0][run.place]
             events = angles[run.place], int(duration[run.place, 0])
-            run.seen = Seen(now[run.place].reshape(-1, 5), total, *events, run in closing)
+            run.seen = Seen(
+                now[run.place].reshape(-1, 5), total, stress[run.place].reshape(3, -1), *events, run in closing
+            )
 
     def contacts(self, runs: Iterable[Simulated]) -> dict[Simulated, NDArray[np.int64]]:
         """Return the contacts at the last build, (C, 3): disks by place, and tick."""

@@ -62,7 +62,7 @@ NONE = (1 << 62) - 1
 PLACES = 32  # of a list of neighbours
 # Arrays on the card, by type, with their axes: R runs, N disks, M cells, C places of a cell, T threads and B blocks of
 # a run. now, q: state, by disks and by components; F, home: forces, and positions at the last build; light = 1/m;
-# angle, if it is kept. The
+# angle, if it is kept; stress: P_xx, P_xy, P_yy times volume, half of each contact. The
 # list: code (neighbour and image), inverse = 1/(Ri + Rj), gap = r²/(Ri + Rj)² at the build, since (tick of contact);
 # count neighbours, of which bits touch; z contacts. open, began, held: disks in contact at a build, ticks of these
 # contacts, their number. filled, members: disks in each cell. built: bounds of eigenvalues, and whole cells of strain
@@ -70,8 +70,8 @@ PLACES = 32  # of a list of neighbours
 # duration: events since the run began. course: strains at the beginnings of parts and at the end, and rates before and
 # in them. s: what forces are computed from, if it is not in shared memory.
 AXES = {
-    "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, angle: R N, inverse: R 32N, "
-    f"built: R 3, numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
+    "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, angle: R N, stress: R 3N, "
+    f"inverse: R 32N, built: R 3, numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
     "f4": "gap: R 32N",
     "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 9, done: R 7, "
     "key: R T, keys: R B",
@@ -635,22 +635,31 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         now, R, m, lists, rate = runs.now[run], runs.R[run], runs.m[run], _lists_of(runs, run), runs.course[run, 1, 0]
         law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
         cell, tick = _cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), orders[TICK]
+        stress, n = runs.stress[run], index(len(R))
         sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
         for k in range(LOOKED):
             sums[k] = 0.0
-        n = index(len(R))
         for i in range(first, n, threads):
             a = index(i)
+            pxx = pxy = pyy = 0.0
             for c in range(lists.count[a]):
                 code, inverse = lists.code[c * n + a], lists.inverse[c * n + a]
-                j = code & MASK
-                if a > j:
-                    continue
+                j, touched = code & MASK, (lists.bits[a] >> c) & 1 == 1
                 x, y, ux, uy = _separation(code, a, now, 0, cell)
                 r = math.sqrt(x * x + y * y)
+                if touched:
+                    turn = law.rolls * (now[5 * a + 4] + now[5 * j + 4]) * inverse
+                    wx, wy, near = ux + turn * y, uy - turn * x, 1.0 / r
+                    spring, gx, gy, _ = contact(
+                        x, y, wx, wy, near, inverse, law.normal, law.tangential, exponent, absolute, dU
+                    )
+                    pxx, pxy = pxx + (spring * x - gx) * x, pxy + (spring * x - gx) * y
+                    pyy += (spring * y - gy) * y
+                if a > j:
+                    continue
                 if r * inverse < 1.0:
                     sums[ELASTIC] += energy(1.0 - r * inverse, inverse, power, absolute, U)
-                if (lists.bits[a] >> c) & 1:
+                if touched:
                     v[0] = (ux * y - uy * x) / r
                     v[1] = (now[5 * a + 4] + now[5 * j + 4]) * r * inverse
                     v[2] = v[0] + v[1]
@@ -672,6 +681,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                             least = key
                             for k in range(4):
                                 sums[ONE + k] = v[k]
+            stress[a], stress[n + a], stress[2 * n + a] = 0.5 * pxx, 0.5 * pxy, 0.5 * pyy
             sums[ROTATIONAL] += 0.25 * m[a] * now[5 * a + 4] ** 2
             cx, cy = now[5 * a + 2] - rate * now[5 * a + 1], now[5 * a + 3]
             sums[KXX] += m[a] * cx * cx

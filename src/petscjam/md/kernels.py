@@ -687,7 +687,9 @@ def sample_contacts(q, pairs, law, now, layers, moments, scatter, sums):
             v[3] = -(vx * x + vy * y) / r
             turn = law.rolls * v[1] / r
             friction, kind = (law.normal, law.tangential), (law.exponent, law.absolute, law.dU)
-            spring, gx, gy, _ = _contact(x, y, vx + turn * y, vy - turn * x, 1.0 / r, pairs.inverse[c], *friction, *kind)
+            spring, gx, gy, _ = _contact(
+                x, y, vx + turn * y, vy - turn * x, 1.0 / r, pairs.inverse[c], *friction, *kind
+            )
             for a in (pairs.i[c], pairs.j[c]):
                 s = q[a, 1] / pairs.height
                 layer = min(int((s - np.floor(s)) * count), count - 1)
