@@ -155,6 +155,8 @@ def run_grid(
         from mpi4py import MPI
 
         parts, node = dict.fromkeys(mine, 0.0), comm.Split_type(MPI.COMM_TYPE_SHARED)
+        rank = node.rank
+        node.Free()
 
         def report(point: Point, fraction: float, text: str) -> None:
             parts[point] = fraction
@@ -163,7 +165,7 @@ def run_grid(
 
         assert abreast is not None
         by_size = sorted(mine, key=lambda point: point.n or 0)
-        yield from abreast(by_size, lambda point: begin(point, partial(report, point)), done, node.rank)
+        yield from abreast(by_size, lambda point: begin(point, partial(report, point)), done, rank)
 
     def cost(point: Point) -> float:
         return point.cost

@@ -273,7 +273,7 @@ def _whole(begin: Callable[P, Steps]) -> Callable[P, Run]:
             warnings.warn(text, DoubtfulWarning, stacklevel=4)
         return done
 
-    return wraps(begin)(run)
+    return wraps(begin, assigned=("__module__", "__doc__", "__annotations__"))(run)
 
 
 def finish(steps: Steps) -> Run:
