@@ -13,6 +13,8 @@ from petscjam.base.files import check_type
 from petscjam.geometry.potential import power_law
 from petscjam.md.model import Model
 
+HISTORY = dict.fromkeys(("rate", "to", "kappa", "amplitude", "omega", "cycles"), "float")
+HISTORY |= dict.fromkeys(("rates", "strains"), "Array")
 MODEL = {"model": "str", "law": "str", "Q": "float", "potential": "str"}
 
 
@@ -104,4 +106,9 @@ class Settings:
             check_type(f"settings: {name}", found.get(name), annotation)
         values = {item.name: found.pop(item.name) for item in own if item.name in found}
         model = Model.from_settings(found)
-        return cls(model, **values, history=History((k, v) for k, v in found.items() if k not in model.settings))
+        history = History((k, v) for k, v in found.items() if k not in model.settings)
+        for name in history.keys() & HISTORY.keys():
+            check_type(f"settings: {name}", history[name], HISTORY[name])
+            if not np.isfinite(history[name]).all():
+                raise InputError(f"settings: {name} is not finite")
+        return cls(model, **values, history=history)
