@@ -2,12 +2,14 @@
 
 import csv
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import names, refused
+from test_shear_plots import DENSE, DILUTE, FAST, SHARE, SLOW, synthetic_run, two_bands
 
 import petscjam as pj
 from petscjam.analysis.mode_sum import modes_needed
@@ -17,12 +19,14 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
 from petscjam.figures import FIGURES, SETS, Request, make_figure, presets
 from petscjam.figures.data import FigureData
+from petscjam.figures.flows import Flows
 from petscjam.figures.modes import WITHIN
 from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.io.results import read_results
+from petscjam.md.grid import Point
 from petscjam.parallel.comm import on_root
 from petscjam.parallel.petsc import start
 
@@ -62,7 +66,31 @@ FLOWS = {
     "goal": 0.2,
     "rounds": 1,
 }
-TINY |= {name: FLOWS | ({"Q_details": [1.0, 200.0]} if of == "vot_cd_rot" else {}) for name, of in SETS.items()}
+LARGE = {
+    "particles": 128,
+    "phi": [0.7, 0.76, 0.78, 0.8, 0.81, 0.84],
+    "rates": [1e-2, 3e-2],
+    "seeds": "1:1",
+    "strain": 0.1,
+    "budget": 0.2,
+    "goal": 0.2,
+    "phi_bagnoldian": 0.77,
+    "phi_newtonian": 0.82,
+    "rate_ratio": 5.0,
+    "pressure": 3e-3,
+    "contour_phi": [0.78, 0.8],
+    "contour_rate": [1e-2, 1e-2],
+    "smaller": 64,
+    "size_rates": [1e-2],
+    "ramp_phi": 0.8,
+    "ramp_rates": [1e-2, 3e-2],
+    "ramp_from": 1e-2,
+    "ramp_to": 1e-1,
+    "kappas": [1e-2, 2e-2],
+    "ramps": 2,
+}
+KINDS = {"vot_cd": FLOWS, "vot_cd_rot": FLOWS | {"Q_details": [1.0, 200.0]}, "vot_large": LARGE}
+TINY |= {name: KINDS[of] for name, of in SETS.items()}
 figures = pytest.mark.parametrize("name", FIGURES)
 
 
@@ -180,7 +208,7 @@ def test_the_table_has_the_numbers_of_the_picture(made, shared, name):
     assert head == ["quantity", "x", "value", "error", "paper"]
     assert [row[0] for row in rows[: len(findings)]] == [f.name for f in findings]
     drawn = [row for row in rows if row[1]]
-    assert len(drawn) > 3 or name in ("vot3", "vot17", "vot21")
+    assert len(drawn) > 3 or name in ("vot3", "vot17", "vot21", "vot25", "vot26", "vot29", "vot35")
     assert sum(np.isfinite(float(row[2])) for row in drawn) >= 0.9 * len(drawn)
 
 
@@ -276,6 +304,66 @@ def test_what_is_left_without_prestress_is_drawn(packings, name):
     make_unstable(name, packings)
     assert (packings / f"{name}.png").exists()
     assert "with pre-stress: 1 of 1." in (packings / f"{name}.md").read_text()
+
+
+# --- large systems, with bands that nobody computed
+
+
+@pytest.fixture
+def banded(monkeypatch, tmp_path):
+    """Make a figure of runs with two bands: P ~ γ̇; a random start is homogeneous."""
+
+    def made_up(flows, points):
+        vx, phi, mean = two_bands()
+        for k, point in enumerate(points):
+            homogeneous = type(point) is Point
+            fields = (None, None) if homogeneous else (vx, phi)
+            run = synthetic_run(*fields, noise=3e-5, seed=k, rate=mean)
+            rows = {name: run.rows[name] * point.rate / mean for name in run.rows if name[-3:] in ("_xx", "_xy", "_yy")}
+            Rv = np.full(len(run.time), 1.0 if homogeneous else 100.0)
+            flows.runs[point] = replace(run, rows={**run.rows, **rows, "dvx2": Rv, "vy2": np.ones_like(Rv)})
+
+    monkeypatch.setattr(Flows, "make", made_up)
+    monkeypatch.setattr(Flows, "tally", "")
+    few = LARGE | {"phi": [0.7, 0.76, 0.78, 0.84], "rates": [1e-2], "contour_phi": [0.78], "contour_rate": [1e-2]}
+
+    def get(name):
+        found = {f.name: f for f in make(name, tmp_path, parameters=few, overwrite=True)}
+        return found, (tmp_path / f"{name}.csv").read_text()
+
+    return get
+
+
+def test_both_bands_on_the_page(banded):
+    for name in ("vot27", "vot28"):
+        found, _ = banded(name)
+        for quantity, value in (("φB*", DILUTE), ("φN*", DENSE), ("γ̇B*", FAST), ("γ̇N*", SLOW), ("f′, from γ̇", SHARE)):
+            one = found[f"{quantity} at φ = 0.78, γ̇ = 0.01"]
+            assert abs(one.value - value) < max(5 * one.error, 0.02 * value)
+
+
+def test_the_lever_rule(banded):
+    found, _ = banded("vot34")
+    one = next(f for name, f in found.items() if name.startswith("f′φB* + (1 − f′)φN* at φ = 0.78, γ̇ = 0.01"))
+    assert one.value == pytest.approx(SHARE * DILUTE + (1 - SHARE) * DENSE, abs=4e-4)
+    assert 0 < one.error < 1e-3
+
+
+def test_the_states_of_the_bands_in_the_diagrams(banded):
+    for name, x in (("vot25", "φ"), ("vot26", "P"), ("vot29", "Σ"), ("vot35", "φ")):
+        found, text = banded(name)
+        assert f"{x}B* from bands, two-phase start" in text
+        assert "from bands, random start" not in text
+        end = found["P at the critical end point, from φN* − φB*"]
+        assert np.isnan(end.value)  # a single run with bands
+        assert "not determined" in end.remark
+
+
+def test_boundaries_from_Rv_enclose_the_banded_runs(banded):
+    found, _ = banded("vot24")
+    assert found["φB at γ̇ = 0.01 from Rv, two-phase start"].value == pytest.approx(0.77)
+    assert found["φN at γ̇ = 0.01 from Rv, two-phase start"].value == pytest.approx(0.81)
+    assert np.isnan(found["φB and φN at γ̇ = 0.01 from Rv, random start"].value)
 
 
 # --- the command

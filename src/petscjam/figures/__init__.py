@@ -56,12 +56,26 @@ FIGURES = {
     "vot19": "CD_rot: tangential collisions against Q",
     "vot20": "CD_rot: rotation of the disks against packing fraction",
     "vot21": "CD_rot: correlations of the velocities of contacts",
+    "vot22": "CD_rot, large: pressure against packing fraction at several strain rates, and its kinks",
+    "vot23": "CD_rot, large: macroscopic friction against packing fraction",
+    "vot24": "CD_rot, large: shear banding against packing fraction",
+    "vot25": "CD_rot, large: coexistence in the plane of packing fraction and strain rate",
+    "vot26": "CD_rot, large: coexistence in the plane of pressure and strain rate",
+    "vot27": "CD_rot, large: maps of packing fraction and strain rate",
+    "vot28": "CD_rot, large: profiles of shear bands at constant pressure",
+    "vot29": "CD_rot, large: coexistence in the plane of pressure and shear stress",
+    "vot30": "CD_rot, large: shear stress against strain rate",
+    "vot31": "CD_rot, large: ramps of the strain rate up and down",
     "vot32": "CD_rot: Qc and Q* from contacts at two strain rates",
     "vot33": "CD_rot: packing fraction of the transition from pressures at two strain rates",
+    "vot34": "CD_rot, large: macroscopic friction at constant pressure, and the lever rule",
+    "vot35": "CD_rot, large: states of coexisting bands, and the boundaries of coexistence",
+    "vot36": "CD_rot, large: shear banding for two numbers of disks",
 }
 SETS = {  # figures that share runs and parameters: the module
     **dict.fromkeys((f"vot{k}" for k in (1, 2, 3, 4, 5, 6, 8, 9)), "vot_cd"),
     **dict.fromkeys((f"vot{k}" for k in (*range(10, 22), 32, 33)), "vot_cd_rot"),
+    **dict.fromkeys((f"vot{k}" for k in (*range(22, 32), 34, 35, 36)), "vot_large"),
 }
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,20 +15,74 @@ import numpy as np
 
 from petscjam.base.errors import InputError, SolverError
 from petscjam.figures.data import FigureData
+from petscjam.md import protocols
 from petscjam.md.grid import Point, run_grid
 from petscjam.md.result import Mean, Run, read
-from petscjam.md.runs import shear
+from petscjam.md.runs import ramp, shear
+from petscjam.md.starts import Phases
 from petscjam.parallel.comm import on_root
 
 T = TypeVar("T")
 Search = Generator[list[Point], dict[Point, Run], T]  # yields points, gets their runs
 
 
+@dataclass(frozen=True, kw_only=True)
+class Banded(Point):
+    """A run that starts with two bands.
+
+    Attributes
+    ----------
+    start_bands : ((float, float), (float, float))
+        (φ, γ̇) of the Bagnoldian and of the Newtonian band.
+    """
+
+    start_bands: Phases
+
+    @property
+    def name(self) -> str:
+        """Name of its file, without the extension."""
+        return f"{super().name}-bands"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ramp(Point):
+    """A ramp of the strain rate up and down.
+
+    Attributes
+    ----------
+    to : float
+        Highest rate, 1/τe.
+    kappa : float
+        κ̃.
+    row_time : float
+        τe between two rows.
+    """
+
+    to: float
+    kappa: float
+    row_time: float
+
+    @property
+    def name(self) -> str:
+        """Name of its file, without the extension."""
+        return f"{super().name}-to{self.to:g}-kappa{self.kappa:g}"
+
+    @property
+    def cost(self) -> float:
+        """Computing time, in any unit."""
+        return (self.n or 1) / self.kappa
+
+    @property
+    def duration(self) -> float:
+        """In τe."""
+        return protocols.ramp(self.rate, self.to, self.kappa).duration
+
+
 @dataclass
 class Flows:
     """The runs of a set of figures.
 
-    A run ends when the error of its mean P^el is below ``goal``, or its strain is ``budget``.
+    A run ends when the error of its mean P^el is below ``goal``, or its strain is ``budget``; a ramp, at its end.
 
     Attributes
     ----------
@@ -111,7 +164,12 @@ class Flows:
         return self.folder / f"{point.name}.h5"
 
     def _work(self, strain: float) -> Any:
-        return partial(shear, strain=strain, integrator="single")
+        def work(**settings: Any) -> Run:
+            if "kappa" in settings:
+                return ramp(integrator="single", **settings)
+            return shear(strain=strain, integrator="single", **settings)
+
+        return work
 
     def _left(self, points: Sequence[Point], strain: float) -> list[Point]:
         """Read the runs; return the points of those that have to go on to ``strain``."""
@@ -122,11 +180,15 @@ class Flows:
                 self.runs[point] = read(file)
             elif self.data.existing:
                 raise InputError(f"{file}: is not there, and --existing makes no further runs")
-            if not (
-                file.exists() and (self._strain(self.runs[point]) > 0.999 * strain or self._good(self.runs[point]))
-            ):
+            if not (file.exists() and self._done(point, strain)):
                 left.append(point)
         return [] if self.data.existing else left
+
+    def _done(self, point: Point, strain: float) -> bool:
+        run = self.runs[point]
+        if isinstance(point, Ramp):
+            return bool(run.time[-1] - run.settings.time0 > 0.999 * point.duration)
+        return self._strain(run) > 0.999 * strain or self._good(run)
 
     def _good(self, run: Run) -> bool:
         value, error = run.mean("pressure_elastic")
@@ -140,7 +202,8 @@ class Flows:
     def tally(self) -> str:
         """The number of runs, and their total strain, for the page."""
         strain = sum(map(self._strain, self.runs.values()))
-        unsettled = sum(not self._good(run) for run in self.runs.values())
+        steady = [run for point, run in self.runs.items() if not isinstance(point, Ramp)]
+        unsettled = sum(not self._good(run) for run in steady)
         return (
             f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g}; in {unsettled} of them the "
             f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}."

@@ -193,13 +193,15 @@ def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def finish(data: FigureData, scan: Scan, figure: Figure, panels: Any) -> None:
-    """Add legends, write the picture, and note the runs."""
+def finish(flows: Flows, figure: Figure, panels: Any) -> None:
+    """Add legends with each label once, write the picture, and note the runs."""
     for axes in np.ravel(panels):
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False, fontsize=7)
-    data.page.tallies.append(scan.flows.tally)
-    save(figure, data.picture)
+        handles, labels = axes.get_legend_handles_labels()
+        if labels:
+            shown = dict(zip(labels, handles, strict=True))
+            axes.legend(shown.values(), shown, frameon=False, fontsize=7)
+    flows.data.page.tallies.append(flows.tally)
+    save(figure, flows.data.picture)
 
 
 def against_Q(scan: Scan, quantity: Quantity) -> None:
@@ -214,7 +216,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> None:
     for phi, Qc in scan.located(shares).items():
         axes.axvline(Qc.value, color="0.8", lw=0.8, zorder=0)
         scan.data.page.found(f"Qc at φ = {phi:g}", *Qc, "")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> None:
@@ -241,7 +243,7 @@ def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> 
         _compare_product(scan, points)
     if quantities[0] == (ETA_P,):
         _independence(scan, points)
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def _compare_product(scan: Scan, points: Sequence[Point]) -> None:
@@ -296,7 +298,7 @@ def phase_diagram_CD(scan: Scan) -> None:
             axes.plot(fine, fit(fine), "-", color="0.3", lw=1, label="fit")
     axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
     axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def _seeds(scan: Scan) -> list[int]:
@@ -339,7 +341,7 @@ def collision_angles(scan: Scan) -> None:
                     error = float(np.sqrt(value * BINS / 360 / max(counts.sum(), 1)))
                     scan.data.page.number(f"P(ϑ) at {name}, φ = {phi:g}, Q = {Q:g}", at, value, error)
         axes.set(xlabel="ϑ (degrees)", ylabel="P(ϑ) per degree", yscale="log", title=f"φ = {phi:g}, Qc = {middle:.3g}")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def tangential_collisions(scan: Scan) -> None:
@@ -364,7 +366,7 @@ def tangential_collisions(scan: Scan) -> None:
             y, error_ = np.array(values).T
             axes.errorbar(scan.Qs, y, np.nan_to_num(error_), fmt=symbol, ms=4, lw=0.8, label=name)
         axes.set(xscale="log", yscale="log", xlabel="$Q$", ylabel="P(ϑ = 90°) per degree", title=f"φ = {phi:g}")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> None:
@@ -395,7 +397,7 @@ def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> N
     if SPIN in quantities:
         values = [SPIN.of([p], scan.runs).value for p in points]
         scan.data.page.mean("⟨θ̇⟩/γ̇ over all runs", values, "−1/2")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def contact_velocities(scan: Scan) -> None:
@@ -420,7 +422,7 @@ def contact_velocities(scan: Scan) -> None:
             axes.set(xlabel=names[a], ylabel=names[b], title=f"φ = {phi:g}, Q = {Q[0]:g}")
             correlations = [c[a, b] / np.sqrt(c[a, a] * c[b, b]) for _, c in each]
             scan.data.page.mean(f"correlation of {words[b]} and {words[a]}, φ = {phi:g}", correlations, "")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def _covariance(runs: Sequence[Run]) -> tuple[Array, Array]:
@@ -445,7 +447,7 @@ def differences_Q(scan: Scan) -> None:
         _note(scan, f"{'Qc' if phi > 0.8 else 'Q*'} at φ = {phi:g} from Z/γ̇", found, "")
         axes.axvline(found.value, color="0.7", lw=0.8)
         axes.set(xlabel="$Q$", ylabel=r"$Z/\dot\gamma_1 - Z/\dot\gamma_2$", xscale="log", title=f"φ = {phi:g}")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def differences_phi(scan: Scan) -> None:
@@ -463,7 +465,7 @@ def differences_phi(scan: Scan) -> None:
         _note(scan, f"φc at Q = {Q:g} from Bp_el", found, "0.80" if Q == 1 else "")
         axes.axvline(found.value, color="0.7", lw=0.8)
         axes.set(xlabel=r"$\phi$", ylabel=r"$B^{\rm el}_{p1} - B^{\rm el}_{p2}$", title=f"Q = {Q:g}")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)
 
 
 def _note(scan: Scan, name: str, found: Located, paper: str) -> None:
@@ -511,4 +513,4 @@ def phase_diagram_CD_rot(scan: Scan) -> None:
         axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color="C2")
     axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
     axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
-    finish(scan.data, scan, figure, panels)
+    finish(scan.flows, figure, panels)

@@ -307,15 +307,23 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
         for some, colour, face, text in ((up, STORAGE, STORAGE, "up"), (~up, LOSS, "white", "down")):
             good = some & (values > 0) & (rate > 0)
             axes.plot(rate[good], values[good], "o", color=colour, mfc=face, ms=4.5, mew=0.9, label=text)
-        _draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
+        draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
         axes.legend(frameon=False, loc="lower right")
     figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings.history['kappa'])}", fontsize=12)
     _warn(figure, run.warnings)
     save(figure, path)
 
 
-def _draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
-    """Draw slope 2 at low rates and slope 1 at high rates: Bagnoldian and Newtonian flow."""
+def draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
+    """Draw slope 2 at low rates and slope 1 at high rates: Bagnoldian and Newtonian flow.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib, both logarithmic.
+    rate, values : (K,)
+        Values that are not finite are left out.
+    """
     low, high = rate.min(), rate.max()
     span = (high / low) ** 0.35
     for slope, anchor, at, factor, side in ((2, low, span, 0.5, -1), (1, high, 1 / span, 2.0, 1)):

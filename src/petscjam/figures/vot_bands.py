@@ -1,0 +1,175 @@
+"""Two shear bands on the contour of constant P: maps, profiles, friction, lever rule (VOT figs. 27, 28, 34)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petscjam.analysis.coexistence import BANDED
+from petscjam.analysis.transitions import Located
+from petscjam.base.errors import InputError
+from petscjam.figures.large import Crossing, Large
+from petscjam.figures.vot import AXES, canvas, finish
+from petscjam.md.banding import Bands, bands
+from petscjam.md.fields import local_maps, profile
+from petscjam.md.grid import Point
+from petscjam.plots.shear import plot_maps
+
+LAYERS = 20  # of the table of a map
+STATES = {"B": ("o", "Bagnoldian"), "N": ("^", "Newtonian"), "bands": ("s", f"Rv > {BANDED:g}")}
+BAGNOLDIAN = 1.5  # d ln P/d ln γ̇ above it
+PAPER = {  # of both bands at P = 2e-5
+    "φB*": "0.7880",
+    "φN*": "0.8090",
+    "γ̇B*": "6.2e-5",
+    "γ̇N*": "4.2e-6",
+    "P": "2e-5",
+    "μ": "0.346",
+}
+
+
+def maps(scan: Large) -> None:
+    """Local packing fraction and strain rate at the end of the run in the middle of the contour (VOT fig. 27)."""
+    point = scan.contour[len(scan.contour) // 2]
+    if scan.data.comm.rank:
+        return
+    state = scan.runs[point].state
+    _note_bands(scan, point)
+    phi, rate = local_maps(state)
+    y = state.positions[:, 1] % state.height
+    layer = (y / state.height * LAYERS).astype(int)
+    for name, values in (("local φ", phi), ("local γ̇", rate)):
+        for m in range(LAYERS):
+            some = values[(layer == m) & np.isfinite(values)]
+            if len(some) > 1:
+                middle, error = (m + 0.5) * state.height / LAYERS, float(some.std(ddof=1) / len(some) ** 0.5)
+                scan.data.page.number(
+                    f"{name}, mean over disks of a layer, against y", middle, float(some.mean()), error
+                )
+    scan.data.page.tallies.append(scan.flows.tally)
+    plot_maps(state, scan.data.picture)
+
+
+def profiles(scan: Large) -> None:
+    """vx(y), γ̇(y) and φ(y) at the points of the contour, with f and f′ (VOT fig. 28)."""
+    points = scan.contour
+    if scan.data.comm.rank:
+        return
+    figure, panels = canvas(3, len(points))
+    for point, column in zip(points, panels.T, strict=True):
+        found = _note_bands(scan, point)
+        p = found.profile if found else profile(scan.runs[point])
+        at = f"φ = {point.phi:g}, γ̇ = {point.rate:g}"
+        for k, (axes, name, values, errors, label) in enumerate(
+            zip(
+                column,
+                ("vx", "γ̇", "φ"),
+                (p.vx, p.rate, p.phi),
+                (p.vx_error, p.rate_error, p.phi_error),
+                (r"$v_x(y)\tau_e/d_s$", r"$\dot\gamma(y)\tau_e$", r"$\phi(y)$"),
+                strict=True,
+            )
+        ):
+            axes.fill_between(p.y, values - errors, values + errors, alpha=0.3, lw=0)
+            axes.plot(p.y, values, lw=1)
+            if found:
+                axes.plot(p.y, found.fitted[k], "k:", lw=1.2)
+                share = (found.share, found.share_phi)[k == 2][0]
+                for edge in (1 - share, 1 + share) if k else ():
+                    axes.axvline(edge * p.length / 2, color="0.6", ls="--", lw=0.8)
+            if k:
+                axes.axhline((p.mean_rate, p.mean_phi)[k - 1], color="0.6", ls="--", lw=0.8)
+            axes.set(xlabel="$y/d_s$" + ", moved with the bands" * bool(found), ylabel=label, xlim=(0, p.length))
+            for y, value, error in zip(p.y, values, errors, strict=True):
+                scan.data.page.number(f"{name}(y) at {at}", y, value, error)
+        column[0].set_title(at)
+    finish(scan.flows, figure, panels)
+
+
+def _note_bands(scan: Large, point: Point) -> Bands | None:
+    """Note the numbers of both bands of a run, f and f′, or why there are none."""
+    page, run, at = scan.data.page, scan.runs[point], f"at φ = {point.phi:g}, γ̇ = {point.rate:g}"
+    try:
+        found = bands(run)
+    except InputError as problem:
+        page.found(f"bands {at}", np.nan, np.nan, "", str(problem))
+        return None
+    e = found.errors
+    numbers = {
+        "φB*": (found.phi[0], e.phi[0]),
+        "φN*": (found.phi[1], e.phi[1]),
+        "γ̇B*": (found.rate[0], e.rate[0]),
+        "γ̇N*": (found.rate[1], e.rate[1]),
+        "P": (found.pressure, e.pressure),
+        "μ": (found.friction, e.friction),
+        "f, from φ": (found.share_phi[0], e.share_phi[0]),
+        "f′, from γ̇": (found.share[0], e.share[0]),
+        "width of an interface": (found.width, e.width),
+    }
+    for name, (value, error) in numbers.items():
+        page.found(f"{name} {at}", float(value), float(error), scan.paper(PAPER.get(name, "")))
+    return found
+
+
+def lever_rule(found: Bands) -> Located:
+    """Return f′φB* + (1 − f′)φN* with the share f′ from the strain rates (VOT Appendix B).
+
+    It is φ, if the width of the interfaces is negligible.
+    """
+    share, (low, high) = found.share[0], found.phi
+    e = found.errors
+    parts = ((high - low) * e.share[0], share * e.phi[0], (1 - share) * e.phi[1])
+    return Located(float(share * low + (1 - share) * high), float(np.linalg.norm(parts)))
+
+
+def friction(scan: Large) -> None:
+    """μ against φ and γ̇ at constant P, and the lever rule (VOT fig. 34).
+
+    At each φ, γ̇ and μ are interpolated between two runs: linearly in ln γ̇ and ln P.
+    """
+    branches, contour = scan.scan, scan.contour
+    if scan.data.comm.rank:
+        return
+    page, level = scan.data.page, scan.parameters["pressure"]
+    figure, panels = canvas(1, 2)
+    for start, points in branches.items():
+        some = scan.crossings(points)
+        if not some:
+            reason = f"P = {level:g} is not passed between two rates at any φ"
+            page.found(f"μ on the contour, {start}", np.nan, np.nan, scan.paper("0.346"), reason)
+        for crossing in some:
+            marker, label = STATES[_state(crossing)]
+            face = {} if start == "random start" else {"mfc": "white"}
+            rate, mu = crossing.rate, crossing.friction
+            style = {"fmt": marker, "color": "k", "ms": 6, "lw": 0.8, **face}
+            panels[0, 0].errorbar(crossing.phi, *mu, **style)
+            panels[0, 1].errorbar(rate.value, mu.value, mu.error, rate.error, label=f"{label}, {start}", **style)
+            page.number(f"μ, {label}, {start}, against φ", crossing.phi, *mu)
+            page.number(f"γ̇, {label}, {start}, against φ", crossing.phi, *rate)
+    for phi, point in zip(scan.parameters.points("contour_phi").tolist(), contour, strict=True):
+        run = scan.runs[point]
+        P, measured = run.mean("pressure"), run.mean("friction")
+        at = f"φ = {phi:g}, γ̇ = {point.rate:g}, where P = {P.value:.3g}"
+        page.found(f"μ at {at}", *measured, scan.paper("0.346"))
+        page.number("μ of the runs of fig. 28 against φ", phi, *measured)
+        for axes, x in zip(panels[0], (phi, point.rate), strict=True):
+            axes.errorbar(x, *measured, fmt="*", ms=10, color="C3", label="runs of fig. 28")
+        try:
+            found = lever_rule(bands(run))
+        except InputError as problem:
+            page.found(f"lever rule at {at}", np.nan, np.nan, f"{phi:g}", str(problem))
+        else:
+            page.found(f"f′φB* + (1 − f′)φN* at {at}", *found, f"{phi:g}", "φ, for interfaces without width")
+    for axes in panels[0]:
+        axes.set(ylabel=r"$\mu$", title=f"P = {level:g}, interpolated between runs")
+    panels[0, 0].set(xlabel=AXES["phi"])
+    panels[0, 1].set(xlabel=AXES["rate"], xscale="log")
+    page.tallies.append(
+        "γ̇ at which P passes the contour, and μ there, are interpolated linearly in ln P and ln γ̇ between two runs."
+    )
+    finish(scan.flows, figure, panels)
+
+
+def _state(crossing: Crossing) -> str:
+    if crossing.banding > BANDED:
+        return "bands"
+    return "B" if crossing.slope > BAGNOLDIAN else "N"
