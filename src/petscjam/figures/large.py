@@ -24,6 +24,7 @@ from petscjam.md.grid import Point, grid
 from petscjam.md.result import Run
 
 PAPER = 2e-5  # P of the contour of VOT
+HOMOGENEOUS = 2.0  # Rv below it: no bands are looked for
 MISSING = {  # why a boundary is not determined
     "P_el": "no two kinks of ln P_el with a slope between them twice that outside",
     "μ": "μ does not rise by three standard errors inside the range of φ",
@@ -236,7 +237,7 @@ class Large:
         found = []
         for point in dict.fromkeys([*(p for branch in self.scan.values() for p in branch), *self.contour]):
             run = self.runs[point]
-            if decays(run):
+            if not lasts(run):
                 continue
             try:
                 seen = bands(run)
@@ -282,20 +283,19 @@ class Large:
             found.append(Crossing(phi, *located, float(np.exp(weights @ Rv)), float(slope)))
         return found
 
-    def tally_decays(self) -> None:
-        """Note the runs in which bands decay; on rank 0 only."""
-        decaying = [p for p, run in self.runs.items() if isinstance(p, Banded) and decays(run)]
-        names = [f"φ = {p.phi:g}, γ̇ = {p.rate:g}" for p in decaying]
+    def tally_lost(self) -> None:
+        """Note the two-phase starts whose bands do not last; on rank 0 only."""
+        lost = [p for p, run in self.runs.items() if isinstance(p, Banded) and not lasts(run)]
         self.data.page.tallies.append(
-            "Two-phase starts whose bands decay (Rv in the last third of the run below half of that in the second): "
-            f"{'; '.join(names) or 'none'}."
+            "Two-phase starts whose bands do not last (Rv in the last third of the run is below "
+            f"{HOMOGENEOUS:g}, or below half of that in the second): {'; '.join(f'φ = {p.phi:g}, γ̇ = {p.rate:g}' for p in lost) or 'none'}."
         )
 
 
-def decays(run: Run) -> bool:
-    """Return whether Rv in the last third of a run is below half of that in the second."""
+def lasts(run: Run) -> bool:
+    """Return whether Rv in the last third of a run is above 2, and above half of that in the second."""
     _, middle, last = (some.mean() for some in np.array_split(run.banding, 3))
-    return bool(last < middle / 2)
+    return bool(last > max(HOMOGENEOUS, middle / 2))
 
 
 def _state(found: Bands, k: int) -> tuple[Located, Located]:

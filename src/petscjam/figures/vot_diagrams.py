@@ -55,7 +55,7 @@ def against_phi(scan: Large, how: str) -> None:
     axes.set(yscale="linear" if how == "μ" else "log", title=STARTS)
     edges = scan.edges([how])
     note(scan, edges)
-    scan.tally_decays()
+    scan.tally_lost()
     for edge in edges:
         if np.isfinite(edge.phi.value):
             points = [p for p in branches[edge.start] if p.rate == edge.rate.value]
@@ -134,7 +134,7 @@ def diagram(scan: Large, x: str, y: str) -> None:
     draw_edges(scan, axes, [*edges, *pairs], x, y)
     end = scan.end_points(binodal)
     _note_end(scan, end)
-    scan.tally_decays()
+    scan.tally_lost()
     if x == "phi":
         note(scan, edges)
         _shade(axes, edges)
@@ -219,7 +219,7 @@ def binodal(scan: Large) -> None:
     _note_end(scan, scan.end_points(found))
     if not found:
         scan.data.page.tallies.append("No run has two bands.")
-    scan.tally_decays()
+    scan.tally_lost()
     panels[0, 0].set(yscale="log", title=STARTS)
     finish(scan.flows, figure, panels)
 
