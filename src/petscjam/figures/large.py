@@ -286,9 +286,10 @@ class Large:
     def tally_lost(self) -> None:
         """Note the two-phase starts whose bands do not last; on rank 0 only."""
         lost = [p for p, run in self.runs.items() if isinstance(p, Banded) and not lasts(run)]
+        names = "; ".join(f"φ = {p.phi:g}, γ̇ = {p.rate:g}" for p in lost)
         self.data.page.tallies.append(
             "Two-phase starts whose bands do not last (Rv in the last third of the run is below "
-            f"{HOMOGENEOUS:g}, or below half of that in the second): {'; '.join(f'φ = {p.phi:g}, γ̇ = {p.rate:g}' for p in lost) or 'none'}."
+            f"{HOMOGENEOUS:g}, or below half of that in the second): {names or 'none'}."
         )
 
 
