@@ -520,6 +520,19 @@ def test_two_ranks_find_the_same(tmp_path, comm):
 
 
 @pytest.mark.parallel(nprocs=2)
+def test_two_ranks_make_the_same_runs(tmp_path, comm):
+    folder, alone = (comm.bcast(tmp_path / name) for name in ("two", "one"))
+    for path in (folder, alone):
+        on_root(comm, path.mkdir)
+    few = LARGE | {"phi": [0.76, 0.8], "rates": [3e-2], "contour_phi": [0.8], "contour_rate": [3e-2]}
+    for name in ("vot31", "vot34"):
+        file = on_root(comm, write, folder / f"{name}.toml", few)
+        make_figure(Request(name, "tiny", folder, file), comm=comm, log=lambda line: None)
+        on_root(comm, partial(make, name, alone, parameters=few))
+        assert (folder / f"{name}.csv").read_bytes() == (alone / f"{name}.csv").read_bytes()
+
+
+@pytest.mark.parallel(nprocs=2)
 def test_every_rank_knows_what_was_found(tmp_path, comm):
     start(comm)
     folder = comm.bcast(tmp_path)

@@ -194,7 +194,14 @@ def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
 
 
 def finish(flows: Flows, figure: Figure, panels: Any) -> None:
-    """Add legends with each label once, write the picture, and note the runs."""
+    """Add legends with each label once, write the picture, and note the runs.
+
+    Parameters
+    ----------
+    flows : Flows
+    figure, panels
+        Of matplotlib, as :func:`canvas` returns them.
+    """
     for axes in np.ravel(panels):
         handles, labels = axes.get_legend_handles_labels()
         if labels:

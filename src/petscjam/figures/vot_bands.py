@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from petscjam.analysis.coexistence import BANDED
@@ -136,6 +138,7 @@ def friction(scan: Large) -> None:
         if not some:
             reason = f"P = {level:g} is not passed between two rates at any φ"
             page.found(f"μ on the contour, {start}", np.nan, np.nan, scan.paper("0.346"), reason)
+        _note_ends(scan, start, some)
         for crossing in some:
             marker, label = STATES[_state(crossing)]
             face = {} if start == "random start" else {"mfc": "white"}
@@ -167,6 +170,16 @@ def friction(scan: Large) -> None:
         "γ̇ at which P passes the contour, and μ there, are interpolated linearly in ln P and ln γ̇ between two runs."
     )
     finish(scan.flows, figure, panels)
+
+
+def _note_ends(scan: Large, start: str, crossings: Sequence[Crossing]) -> None:
+    """Note where the contour leaves homogeneous Bagnoldian flow (largest φ) and reaches Newtonian flow (smallest φ)."""
+    for side, pick, phi, rate in (("B", max, "0.790", "5.06e-5"), ("N", min, "0.8062", "5.2e-6")):
+        homogeneous = [c for c in crossings if _state(c) == side]
+        if homogeneous:
+            end = pick(homogeneous, key=lambda c: c.phi)
+            scan.data.page.found(f"φ{side} on the contour, {start}", end.phi, np.nan, scan.paper(phi))
+            scan.data.page.found(f"γ̇{side} on the contour, {start}", *end.rate, scan.paper(rate))
 
 
 def _state(crossing: Crossing) -> str:

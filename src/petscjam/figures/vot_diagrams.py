@@ -66,7 +66,13 @@ def against_phi(scan: Large, how: str) -> None:
 
 
 def note(scan: Large, edges: Sequence[Edge]) -> None:
-    """Note φ of the boundaries, in pairs (B, N), or why they are not determined."""
+    """Note φ of the boundaries, in pairs (B, N), or why they are not determined.
+
+    Parameters
+    ----------
+    scan : Large
+    edges : sequence of Edge
+    """
     for low, high in zip(edges[::2], edges[1::2], strict=True):
         at = f"at γ̇ = {low.rate.value:g} from {low.how}, {low.start}"
         if np.isnan([low.phi.value, high.phi.value]).all():
