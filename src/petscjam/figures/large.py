@@ -295,6 +295,8 @@ class Large:
 
 def lasts(run: Run) -> bool:
     """Return whether Rv in the last third of a run is above 2, and above half of that in the second."""
+    if len(run.banding) < 3:
+        return False
     _, middle, last = (some.mean() for some in np.array_split(run.banding, 3))
     return bool(last > max(HOMOGENEOUS, middle / 2))
 
