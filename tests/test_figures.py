@@ -77,6 +77,7 @@ LARGE = {
     "phi_bagnoldian": 0.77,
     "phi_newtonian": 0.82,
     "rate_ratio": 5.0,
+    "start_rate": 3e-2,
     "pressure": 3e-3,
     "contour_phi": [0.78, 0.8],
     "contour_rate": [1e-2, 1e-2],

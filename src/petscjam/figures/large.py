@@ -1,13 +1,14 @@
 """The runs of CD_rot at Q = 1 with many disks (VOT secs. III C, III D), and the boundaries of coexistence in them.
 
-Every point has a run from a random start and, between the guessed packing fractions of the bands, one from a start
-with two bands. Axes: s seed, k packing fraction.
+Every point has a run from a random start and, between the guessed packing fractions of the bands, one that starts from
+a faster, Newtonian run that is divided into two bands (from a random start the bands are lost). Axes: s seed, k packing
+fraction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -138,17 +139,30 @@ class Large:
     def two_phase(self, points: Sequence[Point]) -> list[Point]:
         """Return the points between the guessed bands, with two bands at the start."""
         return [
-            Banded(**vars(p), start_bands=self.guess.bands(p.phi, p.rate))
+            Banded(
+                **vars(replace(p, start=self.flows.file(self._newtonian(p)))),
+                start_bands=self.guess.bands(p.phi, p.rate),
+            )
             for p in points
             if p.phi is not None and self.guess.contains(p.phi)
         ]
+
+    def _newtonian(self, point: Point) -> Point:
+        """Return the run from which one with two bands starts."""
+        return Point(point.model, point.n, point.phi, point.Q, float(self.parameters["start_rate"]), point.seed)
+
+    def make(self, points: Sequence[Point]) -> None:
+        """Make runs, after those from which they start. Collective."""
+        banded = [p for p in points if isinstance(p, Banded)]
+        self.flows.make([*(p for p in points if p not in banded), *map(self._newtonian, banded)])
+        self.flows.make(banded)
 
     @cached_property
     def scan(self) -> dict[str, list[Point]]:
         """All φ and rates, by start; where there is no start with two bands, the random one stands in. Collective."""
         random = self.points(self.phis, self.rates)
         branches = self.branches(random)
-        self.flows.make([p for points in branches.values() for p in points])
+        self.make([p for points in branches.values() for p in points])
         return branches
 
     def branches(self, random: Sequence[Point]) -> dict[str, list[Point]]:
@@ -166,7 +180,7 @@ class Large:
         pairs = zip(*(self.parameters.points(f"contour_{name}").tolist() for name in ("phi", "rate")), strict=True)
         random = [self.points([phi], [rate])[0] for phi, rate in pairs]
         points = [(self.two_phase([p]) or [p])[0] for p in random]
-        self.flows.make(points)
+        self.make(points)
         return points
 
     @property

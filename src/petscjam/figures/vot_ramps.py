@@ -31,7 +31,7 @@ def _steady(scan: Large) -> dict[str, list[Point]]:
     """Return the runs at one φ, by start, as :attr:`Large.scan`. Collective."""
     rates = scan.parameters.points("ramp_rates").tolist()
     branches = scan.branches(scan.points([scan.parameters["ramp_phi"]], rates))
-    scan.flows.make([p for points in branches.values() for p in points])
+    scan.make([p for points in branches.values() for p in points])
     return branches
 
 
