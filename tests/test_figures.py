@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import names, refused
+from mpi4py import MPI
+from test_shear import StoppedError, stop_at
 from test_shear_plots import DENSE, DILUTE, FAST, SHARE, SLOW, synthetic_run, two_bands
 
 import petscjam as pj
@@ -104,8 +106,6 @@ def write(path, parameters):
 
 def make(name, folder, *, parameters=None, **options):
     """Make a figure by itself, without a log."""
-    from mpi4py import MPI
-
     file = write(folder / f"{name}.toml", parameters or TINY[name])
     return make_figure(Request(name, "tiny", folder, file, **options), comm=MPI.COMM_SELF, log=lambda line: None)
 
@@ -305,6 +305,21 @@ def test_what_is_left_without_prestress_is_drawn(packings, name):
     make_unstable(name, packings)
     assert (packings / f"{name}.png").exists()
     assert "with pre-stress: 1 of 1." in (packings / f"{name}.md").read_text()
+
+
+# --- large systems
+
+
+def test_a_figure_stopped_and_resumed_has_the_same_numbers(made, shared, tmp_path):
+    """Stopped five times: in steady runs and in ramps."""
+    made("vot31")
+    request = Request("vot31", "tiny", tmp_path, write(tmp_path / "vot31.toml", TINY["vot31"]))
+    for stop in (0.02, 0.1, 0.3, 0.6, 0.9):
+        with pytest.raises(StoppedError):
+            make_figure(request, comm=MPI.COMM_SELF, progress=stop_at(stop), log=lambda line: None)
+        assert not (tmp_path / "vot31.csv").exists()
+    make_figure(request, comm=MPI.COMM_SELF, log=lambda line: None)
+    assert (tmp_path / "vot31.csv").read_bytes() == (shared / "vot31.csv").read_bytes()
 
 
 # --- large systems, with bands that nobody computed
@@ -609,6 +624,13 @@ def test_the_page_rounds_and_leaves_gaps(page):
     rows, _ = table(page.text("petscjam figure", COMMON))
     assert rows[0][:2] == ["good", f"1 ± {page.findings[0].error:.1g}"]
     assert rows[1][:2] == ["bad", "—"]
+
+
+def test_the_page_has_the_digits_above_the_error(page):
+    page.found("φ", 0.80523, 3e-4, "0.8090")
+    page.found("P", 2.98765e-5, 2e-6, "")
+    rows, _ = table(page.text("petscjam figure", COMMON))
+    assert [row[1] for row in rows] == ["0.8052 ± 0.0003", "2.99e-05 ± 2e-06"]
 
 
 def test_groups_by_pressure(made, shared):

@@ -191,8 +191,10 @@ class Flows:
         return self._strain(run) > 0.999 * strain or self._good(run)
 
     def _good(self, run: Run) -> bool:
+        if self._strain(run) < 0.999 * self.strain:
+            return False
         value, error = run.mean("pressure_elastic")
-        return self._strain(run) > 0.999 * self.strain and error <= self.goal * value
+        return error <= self.goal * value
 
     @staticmethod
     def _strain(run: Run) -> float:

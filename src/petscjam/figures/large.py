@@ -239,6 +239,8 @@ class Large:
 
     def _interpolated(self, points: Sequence[Point], what: str, phi: Located) -> Located:
         """Return a stress at ``phi``: its logarithm is interpolated linearly."""
+        if np.isnan(phi.value):
+            return phi
         x, values, _ = self.table(points, "phi", what)
         y = np.log(np.abs(values).mean(0))
         k = int(np.clip(np.searchsorted(x, phi.value), 1, len(x) - 1))
@@ -254,11 +256,11 @@ class Large:
             if not lasts(run):
                 continue
             try:
-                seen = bands(run)
+                seen = coexisting(run)
             except InputError:
                 continue
             start = "two-phase start" if isinstance(point, Banded) else "random start"
-            stresses = [Located(*run.mean(what)) for what in ("pressure", "stress")]
+            stresses = [Located(*run.mean(what, half(run))) for what in ("pressure", "stress")]
             edges = [Edge(side, "bands", start, *_state(seen, k), *stresses) for k, side in enumerate(SIDES)]
             found.append(Pair(point, *edges))
         return found
@@ -305,6 +307,22 @@ class Large:
             "Two-phase starts whose bands do not last (Rv in the last third of the run is below "
             f"{HOMOGENEOUS:g}, or below half of that in the second): {names or 'none'}."
         )
+
+
+def half(run: Run) -> float:
+    """Return half of the strain of a run: bands are measured after it, since they change slowly."""
+    return float(abs(run.strain[-1] - run.settings.strain0)) / 2
+
+
+def coexisting(run: Run) -> Bands:
+    """Return the two bands in the second half of a run.
+
+    Raises
+    ------
+    NoBandsError
+        See :func:`petscjam.md.banding.bands`.
+    """
+    return bands(run, half(run))
 
 
 def lasts(run: Run) -> bool:

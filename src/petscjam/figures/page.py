@@ -26,6 +26,13 @@ class Finding:
     paper: str
     remark: str = ""
 
+    @property
+    def digits(self) -> int:
+        """Digits of the value on the page: at least three, and those above the error, up to six."""
+        if not (self.error > 0 and self.value):
+            return 3
+        return int(np.clip(np.floor(np.log10(abs(self.value))) - np.floor(np.log10(self.error)) + 1, 3, 6))
+
 
 class Number(NamedTuple):
     """A number of the picture: quantity, x, value, its standard error, and the value of the paper."""
@@ -179,7 +186,7 @@ class Page:
         if self.findings:
             lines += ["| quantity | here | paper | |", "|---|---|---|---|"]
             for f in self.findings:
-                value = "—" if np.isnan(f.value) else f"{f.value:.3g}"
+                value = "—" if np.isnan(f.value) else f"{f.value:.{f.digits}g}"
                 value += "" if np.isnan(f.error) else f" ± {f.error:.1g}"
                 lines.append(f"| {f.name} | {value} | {f.paper} | {f.remark} |")
             how = "of exponents, collapses and transitions by bootstrap, of lengths by jackknife, of slopes and means"

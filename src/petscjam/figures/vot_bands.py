@@ -9,11 +9,12 @@ import numpy as np
 from petscjam.analysis.coexistence import BANDED
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
-from petscjam.figures.large import Crossing, Large
+from petscjam.figures.large import Crossing, Large, coexisting, half
 from petscjam.figures.vot import AXES, canvas, finish
-from petscjam.md.banding import Bands, bands
+from petscjam.md.banding import Bands
 from petscjam.md.fields import local_maps, profile
 from petscjam.md.grid import Point
+from petscjam.md.result import blocked_error
 from petscjam.plots.shear import plot_maps
 
 LAYERS = 20  # of the table of a map
@@ -52,7 +53,7 @@ def maps(scan: Large) -> None:
 
 
 def profiles(scan: Large) -> None:
-    """vx(y), γ̇(y) and φ(y) at the points of the contour, with f and f′ (VOT fig. 28)."""
+    """vx(y), γ̇(y) and φ(y) at the points of the contour, with f and f′, of the second half of a run (VOT fig. 28)."""
     points = scan.contour
     if scan.data.comm.rank:
         return
@@ -91,7 +92,7 @@ def _note_bands(scan: Large, point: Point) -> Bands | None:
     """Note the numbers of both bands of a run, f and f′, or why there are none."""
     page, run, at = scan.data.page, scan.runs[point], f"at φ = {point.phi:g}, γ̇ = {point.rate:g}"
     try:
-        found = bands(run)
+        found = coexisting(run)
     except InputError as problem:
         page.found(f"bands {at}", np.nan, np.nan, "", str(problem))
         return None
@@ -109,6 +110,10 @@ def _note_bands(scan: Large, point: Point) -> Bands | None:
     }
     for name, (value, error) in numbers.items():
         page.found(f"{name} {at}", float(value), float(error), scan.paper(PAPER.get(name, "")))
+    before, after = np.array_split(run.pressure, 4)[2:]
+    ratio = float(after.mean() / before.mean())
+    error = ratio * float(np.hypot(blocked_error(after) / after.mean(), blocked_error(before) / before.mean()))
+    page.found(f"P of the last quarter / P of the third {at}", ratio, error, "1", "in the steady state")
     return found
 
 
@@ -150,14 +155,14 @@ def friction(scan: Large) -> None:
             page.number(f"γ̇, {label}, {start}, against φ", crossing.phi, *rate)
     for phi, point in zip(scan.parameters.points("contour_phi").tolist(), contour, strict=True):
         run = scan.runs[point]
-        P, measured = run.mean("pressure"), run.mean("friction")
+        P, measured = (run.mean(what, half(run)) for what in ("pressure", "friction"))
         at = f"φ = {phi:g}, γ̇ = {point.rate:g}, where P = {P.value:.3g}"
         page.found(f"μ at {at}", *measured, scan.paper("0.346"))
         page.number("μ of the runs of fig. 28 against φ", phi, *measured)
         for axes, x in zip(panels[0], (phi, point.rate), strict=True):
             axes.errorbar(x, *measured, fmt="*", ms=10, color="C3", label="runs of fig. 28")
         try:
-            found = lever_rule(bands(run))
+            found = lever_rule(coexisting(run))
         except InputError as problem:
             page.found(f"lever rule at {at}", np.nan, np.nan, f"{phi:g}", str(problem))
         else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.transitions import JAMMING, Located
-from petscjam.figures.large import MISSING, SIDES, Edge, Large
+from petscjam.figures.large import MISSING, SIDES, Edge, Large, half
 from petscjam.figures.vot import AXES, P_EL, Quantity, canvas, draw_lines, finish
 
 if TYPE_CHECKING:
@@ -153,19 +153,13 @@ def diagram(scan: Large, x: str, y: str) -> None:
     if y == "stress":
         ends = np.array([0.5, 2.0]) * np.array(_range([*edges, *pairs], level))
         axes.plot(ends, YIELD * ends, "-", color="0.5", lw=1, label=r"$\Sigma = 0.1 P$")
-        for edge in pairs:
-            if edge.side == "B":
-                page.found(f"Σ/P of bands at P = {edge.pressure.value:.3g}", *_ratio(edge), scan.paper("0.346"))
+        for point, edge, _ in binodal:
+            mu = scan.runs[point].mean("friction", half(scan.runs[point]))
+            page.found(f"Σ/P of the bands at P = {edge.pressure.value:.3g}", *mu, scan.paper("0.346"))
     if x == "pressure" and np.isfinite(end[0].value):
         axes.axvline(end[0].value, color="0.7", lw=0.8)
     axes.set(yscale="log", xscale="linear" if x == "phi" else "log", title=STARTS)
     finish(scan.flows, figure, panels)
-
-
-def _ratio(edge: Edge) -> Located:
-    P, stress = edge.pressure, edge.stress
-    mu = stress.value / P.value
-    return Located(mu, mu * float(np.hypot(P.error / P.value, stress.error / stress.value)))
 
 
 def _range(edges: Sequence[Edge], level: float) -> tuple[float, float]:
