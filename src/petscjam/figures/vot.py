@@ -48,7 +48,15 @@ class Quantity:
     factor: Callable[[Point], float] = lambda point: 1.0
 
     def of(self, points: Sequence[Point], runs: Runs) -> Mean:
-        """Return the mean over seeds, and its error."""
+        """Return the mean over seeds, and its error.
+
+        Parameters
+        ----------
+        points : sequence of Point
+            That differ in the seed.
+        runs : dict
+            By point.
+        """
         value, error = over_seeds([runs[p] for p in points], self.what)
         return Mean(value * self.factor(points[0]), error * self.factor(points[0]))
 
@@ -93,7 +101,12 @@ class Scan:
         return first, second
 
     def points(self, phi: Sequence[float] = (), Q: Sequence[float] = (), rate: Sequence[float] = ()) -> list[Point]:
-        """Return points; an empty sequence stands for all φ, all Q, the rate of the scan."""
+        """Return points; an empty sequence stands for all φ, all Q, the rate of the scan.
+
+        Parameters
+        ----------
+        phi, Q, rate : sequences of float
+        """
         n, seeds = self.parameters["particles"], self.parameters["seeds"]
         return grid([self.model], [n], phi or self.phis, Q or self.Qs, rate or [self.rate], seeds)
 
@@ -186,7 +199,12 @@ def draw_lines(
 
 
 def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
-    """Return a figure and its panels, (rows, columns)."""
+    """Return a figure and its panels, (rows, columns).
+
+    Parameters
+    ----------
+    rows, columns : int
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.5 * columns, 5 * rows), layout="constrained")
@@ -212,7 +230,13 @@ def finish(flows: Flows, figure: Figure, panels: Any) -> None:
 
 
 def against_Q(scan: Scan, quantity: Quantity) -> None:
-    """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), with the runs of the bisection."""
+    """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), with the runs of the bisection.
+
+    Parameters
+    ----------
+    scan : Scan
+    quantity : Quantity
+    """
     shares = scan.shares()
     if scan.data.comm.rank:
         return
