@@ -15,7 +15,7 @@ from petscjam.md.banding import Bands
 from petscjam.md.fields import local_maps, profile
 from petscjam.md.grid import Point
 from petscjam.md.result import blocked_error
-from petscjam.plots.shear import plot_maps
+from petscjam.plots.shear import draw_profiles, plot_maps
 
 LAYERS = 20  # of the table of a map
 STATES = {"B": ("o", "Bagnoldian"), "N": ("^", "Newtonian"), "bands": ("s", f"Rv > {BANDED:g}")}
@@ -59,32 +59,14 @@ def profiles(scan: Large) -> None:
         return
     figure, panels = canvas(3, len(points))
     for point, column in zip(points, panels.T, strict=True):
+        run, at = scan.runs[point], f"φ = {point.phi:g}, γ̇ = {point.rate:g}"
         found = _note_bands(scan, point)
-        p = found.profile if found else profile(scan.runs[point])
-        at = f"φ = {point.phi:g}, γ̇ = {point.rate:g}"
-        for k, (axes, name, values, errors, label) in enumerate(
-            zip(
-                column,
-                ("vx", "γ̇", "φ"),
-                (p.vx, p.rate, p.phi),
-                (p.vx_error, p.rate_error, p.phi_error),
-                (r"$v_x(y)\tau_e/d_s$", r"$\dot\gamma(y)\tau_e$", r"$\phi(y)$"),
-                strict=True,
-            )
-        ):
-            axes.fill_between(p.y, values - errors, values + errors, alpha=0.3, lw=0)
-            axes.plot(p.y, values, lw=1)
-            if found:
-                axes.plot(p.y, found.fitted[k], "k:", lw=1.2)
-                share = (found.share, found.share_phi)[k == 2][0]
-                for edge in (1 - share, 1 + share) if k else ():
-                    axes.axvline(edge * p.length / 2, color="0.6", ls="--", lw=0.8)
-            if k:
-                axes.axhline((p.mean_rate, p.mean_phi)[k - 1], color="0.6", ls="--", lw=0.8)
-            axes.set(xlabel="$y/d_s$" + ", moved with the bands" * bool(found), ylabel=label, xlim=(0, p.length))
-            for y, value, error in zip(p.y, values, errors, strict=True):
-                scan.data.page.number(f"{name}(y) at {at}", y, value, error)
+        draw_profiles(column, run, found)
         column[0].set_title(at)
+        p = found.profile if found else profile(run)
+        for name, values, errors in (("vx", p.vx, p.vx_error), ("γ̇", p.rate, p.rate_error), ("φ", p.phi, p.phi_error)):
+            for row in zip(p.y.tolist(), values.tolist(), errors.tolist(), strict=True):
+                scan.data.page.number(f"{name}(y) at {at}", *row)
     finish(scan.flows, figure, panels)
 
 

@@ -86,7 +86,7 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
     with suppress(NoBandsError):
         found = bands(run)
     _draw_series(panels[0], run)
-    _draw_profiles(panels[1, :3], run, found)
+    draw_profiles(panels[1, :3], run, found)
     _draw_angles(panels[1, 3], run)
     _draw_velocities(panels[2, :3], run)
     _draw_means(panels[2, 3], run, found)
@@ -137,8 +137,17 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
         axes.set(xlabel=label, xlim=sorted((start, x[-1])))
 
 
-def _draw_profiles(panels: Sequence[Axes], run: Run, found: Bands | None) -> None:
-    """Draw vx(y), its slope and φ(y) (VOT fig. 28); two bands are moved to the middle, and drawn with their fit."""
+def draw_profiles(panels: Sequence[Axes], run: Run, found: Bands | None) -> None:
+    """Draw vx(y), its slope and φ(y) (VOT fig. 28); two bands are moved to the middle, and drawn with their fit.
+
+    Parameters
+    ----------
+    panels
+        Three, of matplotlib.
+    run : Run
+    found : Bands, optional
+        Vertical lines are at the edges of the Bagnoldian band: from the strain rates, in the last panel from φ.
+    """
     p, fits = (found.profile, found.fitted) if found else (profile(run), [None] * 3)
     for axes, values, error, fit, colour, label, mean in (
         (panels[0], p.vx, p.vx_error, fits[0], STORAGE, r"$v_x(y)$  ($d_s/\tau_e$)", None),
@@ -153,7 +162,8 @@ def _draw_profiles(panels: Sequence[Axes], run: Run, found: Bands | None) -> Non
             axes.axhline(mean, color=GREY, ls="--", lw=0.9)
         if found and fit is not None:
             axes.plot(p.y, fit, ":", color="0.1", lw=1.4)
-            for edge in (1 - found.share[0], 1 + found.share[0]):
+            share = (found.share_phi if axes is panels[2] else found.share)[0]
+            for edge in (1 - share, 1 + share):
                 axes.axvline(edge * p.length / 2, color="0.6", ls=":", lw=1)
         axes.set(xlabel="$y/d_s$" + ", moved with the bands" * bool(found), ylabel=label, xlim=(0, p.length))
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True, useOffset=False)
