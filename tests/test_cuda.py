@@ -204,7 +204,7 @@ def test_a_grid_gives_the_runs_that_each_point_gives_alone(comm, tmp_path, monke
     def work(rate, **settings):
         return begin(protocols.steady(rate, 0.4), dt=0.1, engine="cuda", **settings)
 
-    made, failures = run_grid(points, folder, work, comm=comm, log=lambda file, _: files.append(file), abreast=abreast)
+    made, failures = run_grid(points, folder, work, comm=comm, engine="cuda", log=lambda file, _: files.append(file))
     assert (made, len(files)) == (4, 4)
     assert [failure.split(":")[0] for failure in failures] == [p.name for p in points if p.phi == 1.5]
     for file in files:

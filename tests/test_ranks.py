@@ -10,6 +10,7 @@ import petscjam as pj
 from petscjam.figures import Request, make_figure
 from petscjam.io.jobs import Ensemble, ModulusAnalysis, PackingAnalysis, analyse
 from petscjam.md.grid import grid, run_grid
+from petscjam.md.runs import begin
 
 PACKING = sixteen()
 OTHER = pj.Packing(PACKING.positions, 1.01 * PACKING.radii, PACKING.box, PACKING.potential_name)
@@ -65,7 +66,7 @@ ENTRIES = {
         **c,
     ),
     "run_grid": lambda p, odd, folder, **c: run_grid(
-        grid(["CD"], [16], [0.8], [1.0], [1e-2], [1 + odd]), folder / "grid", pj.md.run, log=print, **c
+        grid(["CD"], [16], [0.8], [1.0], [1e-2], [1 + odd]), folder / "grid", begin, log=print, **c
     ),
     "make_figure": lambda p, odd, folder, **c: make_figure(
         Request("bt1", "small", folder / "figures", overwrite=odd), **c

@@ -20,7 +20,7 @@ from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
 from petscjam.md.model import Model
 from petscjam.md.result import blocked_error, export_csv, read_folder
-from petscjam.md.runs import run
+from petscjam.md.runs import begin, run
 from petscjam.md.simulation import Simulation
 from petscjam.md.starts import _along_x, first_state, given_state, rescaled, two_phases
 from petscjam.md.state import State, random_state
@@ -871,7 +871,7 @@ def test_a_grid_gives_the_same_runs_on_any_number_of_ranks(comm, tmp_path):
     done = []
 
     def work(rate, **settings):
-        return run(protocols.steady(rate, 0.05), **settings)
+        return begin(protocols.steady(rate, 0.05), **settings)
 
     made, failures = run_grid(points, folder, work, comm=comm, log=lambda file, _: done.append(file.name))
     assert (made, failures) == (4, [])
@@ -888,7 +888,7 @@ def test_a_point_that_fails_stops_no_other(comm, tmp_path):
     points = grid(["CD"], [36], [0.8, 1.5], [1.0], [1e-2], [1])
 
     def work(rate, **settings):
-        return run(protocols.steady(rate, 0.02), **settings)
+        return begin(protocols.steady(rate, 0.02), **settings)
 
     made, failures = run_grid(points, folder, work, comm=comm, log=lambda file, _: None)
     assert made == 1

@@ -68,6 +68,7 @@ def figure(options: argparse.Namespace, comm: Comm) -> None:
             overwrite=options.overwrite,
             resume=options.resume,
             existing=options.existing,
+            engine=options.engine,
         )
         make_figure(request, comm=comm, progress=report, log=log)
     say(comm, on_root(comm, (folder / f"{options.name}.md").read_text))

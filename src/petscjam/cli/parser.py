@@ -264,9 +264,17 @@ def _figure(known: Verbs) -> None:
     p.add_argument("--preset", default="small", metavar="NAME", help=text)
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)
-    p.add_argument("--existing", action="store_true", help="prepare no packings, use those in the folder")
-    text = "folder of packings, results, NAME.png and NAME.md, for all figures (default runs/PRESET)"
+    text = "prepare no packings and make no runs, use those in the folder"
+    p.add_argument("--existing", action="store_true", help=text)
+    engine(p)
+    text = "folder of packings, runs, results, NAME.png, NAME.md and NAME.csv, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
+
+
+def engine(p: Parser) -> None:
+    """Add the engine of sheared disks."""
+    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
+    p.add_argument("--engine", default="cpu", metavar="NAME", help=text)
 
 
 def _plot(known: Verbs) -> None:
@@ -374,8 +382,7 @@ def disks(p: Parser) -> None:
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
     text = "keep the angles by which the disks have turned: in the file and in the frames"
     p.add_argument("--angles", action="store_true", help=text)
-    text = "cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
-    p.add_argument("--engine", default="cpu", metavar="NAME", help=text)
+    engine(p)
     text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"
     p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
     text = "number of snapshots for OVITO, in the folder OUT.frames (default 0)"

@@ -83,9 +83,6 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
             start = read_lammps(start)
         return (yield from begin(protocol(rate), start=start, **common, **settings))
 
-    def work(**settings: Any) -> Any:
-        return finish(steps(**settings))
-
     def log(file: Path, done: Any) -> None:
         print(file, flush=True)
         for text in done.warnings:
@@ -97,7 +94,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
 
         def one() -> str:
             with progress(options.verb, show=True) as report:
-                done = work(**vars(points[0]), output=options.output, progress=report, **existing)
+                done = finish(steps(**vars(points[0]), output=options.output, progress=report, **existing))
             log(options.output, done)
             return describe_run(done)
 
@@ -105,16 +102,13 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
         return
     if alone is not None and (options.particles is None or options.phi is None):
         raise InputError(f"{options.verb}: many runs from one --start need --particles and --phi, too")
-    abreast = getattr(kind, "abreast", None)
     large = sum((point.n or 0) > getattr(kind, "MOST", math.inf) for point in points)
     if large and comm.rank == 0:
         text = f"{large} of {len(points)} runs have more than {kind.MOST} disks: they follow each other on the GPU"
         print(f"petscjam: {text}", file=sys.stderr, flush=True)
     with progress(options.verb, show=comm.rank == 0) as report:
-        some = work if abreast is None else steps
-        made, failures = run_grid(
-            points, options.output, some, comm=comm, progress=report, log=log, abreast=abreast, **existing
-        )
+        settings = {"engine": options.engine, "progress": report, "log": log, **existing}
+        made, failures = run_grid(points, options.output, steps, comm=comm, **settings)
     say(comm, f"{made} of {len(points)} runs: {options.output}")
     if failures:
         raise SolverError("".join(["some runs failed; --resume tries them again:", *(f"\n  {x}" for x in failures)]))

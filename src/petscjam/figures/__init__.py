@@ -121,7 +121,9 @@ class Request:
     resume : bool
         Keep existing results, and draw them.
     existing : bool
-        Prepare no further packings.
+        Prepare no further packings, and make no further runs.
+    engine : str
+        Of sheared runs, a name of :data:`petscjam.md.runs.ENGINES`.
     """
 
     name: str
@@ -131,12 +133,14 @@ class Request:
     overwrite: bool = False
     resume: bool = False
     existing: bool = False
+    engine: str = "cpu"
 
     @property
     def command(self) -> str:
         """The command, for the page."""
         command = f"petscjam figure {self.name} --preset {self.preset}"
         command += f" --parameters {self.file}" * (self.file is not None)
+        command += f" --engine {self.engine}" * (self.engine != "cpu")
         return command + " --existing" * self.existing
 
     def parameters(self) -> Parameters:
@@ -187,7 +191,9 @@ def make_figure(
         for target in (picture, page, table):
             inputs = [request.file] if request.file else []
             on_root(comm, check_output, target, overwrite=request.overwrite or request.resume, inputs=inputs)
-        data = FigureData(parameters, folder, comm, request.overwrite, request.existing, progress, log)
+        data = FigureData(
+            parameters, folder, comm, request.overwrite, request.existing, progress, log, engine=request.engine
+        )
         import_module(f"petscjam.figures.{SETS.get(name, name)}").draw(data)
         text = data.page.text(request.command, parameters.values)
         on_root(comm, write_atomically, page, text.encode())

@@ -38,6 +38,8 @@ class FigureData:
     page : Page
     checksums : dict
         Of the packings.
+    engine : str
+        Of sheared runs, a name of :data:`petscjam.md.runs.ENGINES`.
     """
 
     parameters: Parameters
@@ -49,6 +51,7 @@ class FigureData:
     log: Callable[[str], None] = print
     page: Page = field(default_factory=Page)
     checksums: dict[Path, str] = field(default_factory=dict)
+    engine: str = "cpu"
 
     @property
     def picture(self) -> Path:

@@ -17,8 +17,9 @@ from petscjam.base.errors import InputError, SolverError
 from petscjam.figures.data import FigureData
 from petscjam.md import protocols
 from petscjam.md.grid import Point, run_grid
+from petscjam.md.recording import Steps
 from petscjam.md.result import Mean, Run, read
-from petscjam.md.runs import ramp, shear
+from petscjam.md.runs import begin
 from petscjam.md.starts import Phases
 from petscjam.parallel.comm import on_root
 
@@ -119,8 +120,16 @@ class Flows:
         comm, data, strain = self.data.comm, self.data, self.strain
         left = on_root(comm, self._left, list(dict.fromkeys(points)), strain)
         while left:
-            work = self._work(strain)
-            _, failures = run_grid(left, self.folder, work, comm=comm, resume=True, progress=data.progress, log=_quiet)
+            _, failures = run_grid(
+                left,
+                self.folder,
+                self._begin(strain),
+                comm=comm,
+                engine=data.engine,
+                resume=True,
+                progress=data.progress,
+                log=_quiet,
+            )
             if failures:
                 raise SolverError("; ".join(failures))
             strain = min(2 * strain, self.budget)
@@ -163,13 +172,12 @@ class Flows:
         """Return the file of a run."""
         return self.folder / f"{point.name}.h5"
 
-    def _work(self, strain: float) -> Any:
-        def work(**settings: Any) -> Run:
-            if "kappa" in settings:
-                return ramp(integrator="single", **settings)
-            return shear(strain=strain, integrator="single", **settings)
+    def _begin(self, strain: float) -> Callable[..., Steps]:
+        def steps(rate: float, to: float = 0.0, kappa: float = 0.0, **settings: Any) -> Steps:
+            protocol = protocols.ramp(rate, to, kappa) if kappa else protocols.steady(rate, strain)
+            return (yield from begin(protocol, integrator="single", engine=self.data.engine, **settings))
 
-        return work
+        return steps
 
     def _left(self, points: Sequence[Point], strain: float) -> list[Point]:
         """Read the runs; return the points of those that have to go on to ``strain``."""

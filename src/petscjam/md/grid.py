@@ -14,7 +14,9 @@ from petscjam.base.errors import InputError, readable
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.ranges import MOST_RUNS
+from petscjam.md.recording import Steps
 from petscjam.md.result import Run
+from petscjam.md.runs import engine_of, finish
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.comm import Comm, agree, on_root
 from petscjam.parallel.teams import Failure, Team, deal, share
@@ -93,32 +95,33 @@ def grid(
 def run_grid(
     points: Sequence[Point],
     folder: Path,
-    work: Callable[..., Any],
+    begin: Callable[..., Steps],
     *,
     comm: Comm,
+    engine: str = "cpu",
     resume: bool = False,
     overwrite: bool = False,
     progress: Report | None = None,
     log: Callable[[Path, Run], None],
-    abreast: Abreast | None = None,
 ) -> tuple[int, list[str]]:
     """Run every point, each on one rank, into its own file in ``folder``.
 
-    With ``abreast`` a rank makes many of its runs at a time.
+    With the engine ``cuda`` a rank makes many of its runs at a time.
 
     Parameters
     ----------
     points : sequence of Point
     folder : Path
-    work : callable
-        ``work(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the run, with ``abreast`` its steps.
+    begin : callable
+        ``begin(**point, output=…, resume=…, overwrite=…, progress=…)`` returns the steps of a run with this engine
+        (:func:`petscjam.md.runs.begin`).
     comm : communicator
+    engine : str
+        A name of :data:`petscjam.md.runs.ENGINES`.
     resume, overwrite : bool
         For files that exist; an error if both are false.
     progress, log : callable
         ``log`` is called with the file and the run of each finished point, on its rank.
-    abreast : callable
-        :func:`petscjam.md.cuda.abreast`.
 
     Returns
     -------
@@ -132,6 +135,7 @@ def run_grid(
         If the folder cannot be made, a file exists, or all points are refused.
     """
     agree(comm, points, folder, resume, overwrite)
+    abreast: Abreast | None = getattr(engine_of(engine), "abreast", None)
     files = {point: folder / f"{point.name}.h5" for point in points}
     made = 0
 
@@ -140,8 +144,8 @@ def run_grid(
             if file.exists() and not (resume or overwrite):
                 raise InputError(f"{file}: exists already; ask to overwrite it or to resume")
 
-    def begin(point: Point, report: Report | None) -> Any:
-        return work(**vars(point), output=files[point], resume=resume, overwrite=overwrite, progress=report)
+    def steps(point: Point, report: Report | None) -> Steps:
+        return begin(**vars(point), output=files[point], resume=resume, overwrite=overwrite, progress=report)
 
     def done(point: Point, run: Run) -> None:
         nonlocal made
@@ -149,7 +153,7 @@ def run_grid(
         log(files[point], run)
 
     def one(point: Point, team: Team, report: Report | None) -> None:
-        done(point, begin(point, report))
+        done(point, finish(steps(point, report)))
 
     def many(mine: list[Point], team: Team) -> Iterator[Failure[Point]]:
         from mpi4py import MPI
@@ -165,7 +169,7 @@ def run_grid(
 
         assert abreast is not None
         by_size = sorted(mine, key=lambda point: point.n or 0)
-        yield from abreast(by_size, lambda point: begin(point, partial(report, point)), done, rank)
+        yield from abreast(by_size, lambda point: steps(point, partial(report, point)), done, rank)
 
     def cost(point: Point) -> float:
         return point.cost
