@@ -540,7 +540,7 @@ def test_two_ranks_make_the_same_runs(tmp_path, comm):
     folder, alone = (comm.bcast(tmp_path / name) for name in ("two", "one"))
     for path in (folder, alone):
         on_root(comm, path.mkdir)
-    few = LARGE | {"phi": [0.76, 0.8], "rates": [3e-2], "contour_phi": [0.8], "contour_rate": [3e-2]}
+    few = LARGE | {"phi": [0.76, 0.8], "rates": [3e-2], "contour_phi": [0.8], "contour_rate": [1e-2]}
     for name in ("vot31", "vot34"):
         file = on_root(comm, write, folder / f"{name}.toml", few)
         make_figure(Request(name, "tiny", folder, file), comm=comm, log=lambda line: None)
