@@ -48,17 +48,17 @@ def test_friction_switches_from_its_minimum_to_its_maximum():
 
 def test_banding_jumps_between_two_points():
     Rv = np.where((PHI > 0.786) & (PHI < 0.804), 100.0, 1.5)
-    found = jumps(PHI, [Rv, Rv])
+    found = jumps(PHI, [Rv, Rv], 10)
     assert found.bagnoldian.value == pytest.approx(0.7875)
     assert found.newtonian.value == pytest.approx(0.8025)
     assert found.newtonian.error == pytest.approx(0.005 / 12**0.5)
-    assert np.isnan(jumps(PHI, [np.full(len(PHI), 9.0)]).newtonian.value)
-    assert np.isnan(jumps(PHI[3:9], [np.full(6, 99.0)]).bagnoldian.value)
+    assert np.isnan(jumps(PHI, [np.full(len(PHI), 9.0)], 10).newtonian.value)
+    assert np.isnan(jumps(PHI[3:9], [np.full(6, 99.0)], 10).bagnoldian.value)
 
 
 def test_seeds_that_differ_increase_the_error_of_a_jump():
     early, late = (np.where((start < PHI) & (PHI < 0.811), 100.0, 1.0) for start in (0.771, 0.801))
-    assert jumps(PHI, [early, late]).bagnoldian.error > 0.005
+    assert jumps(PHI, [early, late], 10).bagnoldian.error > 0.005
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0])

@@ -80,6 +80,7 @@ LARGE = {
     "phi_newtonian": 0.82,
     "rate_ratio": 5.0,
     "start_rate": 3e-2,
+    "threshold": 10.0,
     "pressure": 3e-3,
     "contour_phi": [0.78, 0.8],
     "contour_rate": [1e-2, 1e-2],

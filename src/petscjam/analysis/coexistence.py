@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from petscjam.analysis.transitions import Located, bootstrap
 from petscjam.base.types import Array
 
-BANDED = 10.0  # Rv above it: shear bands
 STEEPER = 2.0  # least ratio of the slope between two kinks to those outside
 ERRORS = 3.0  # least rise of μ, in standard errors
 FINE = 4  # trial positions of a kink in an interval of x
@@ -109,7 +108,7 @@ def switches(x: ArrayLike, friction: ArrayLike, errors: ArrayLike) -> Boundaries
     return _bounded(x, find, np.asarray(friction, dtype=float))
 
 
-def jumps(x: ArrayLike, banding: ArrayLike, threshold: float = BANDED) -> Boundaries:
+def jumps(x: ArrayLike, banding: ArrayLike, threshold: float) -> Boundaries:
     """Return where Rv rises above a threshold and where it falls below it again (VOT fig. 24).
 
     Parameters

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from petscjam.analysis.coexistence import BANDED, Boundaries, end_point, jumps, kinks, switches
+from petscjam.analysis.coexistence import Boundaries, end_point, jumps, kinks, switches
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
@@ -29,7 +29,7 @@ HOMOGENEOUS = 2.0  # Rv below it: no bands are looked for
 MISSING = {  # why a boundary is not determined
     "P_el": "no two kinks of ln P_el with a slope between them twice that outside",
     "μ": "μ does not rise by three standard errors inside the range of φ",
-    "Rv": f"Rv does not exceed {BANDED:g}, or does so at the end of the range",
+    "Rv": "Rv does not exceed the threshold, or does so at the end of the range",
 }
 SIDES = {"B": "Bagnoldian", "N": "Newtonian"}
 
@@ -223,7 +223,7 @@ class Large:
             return kinks(*self.table(points, "phi", "pressure_elastic")[:2])
         if how == "μ":
             return switches(*self.table(points, "phi", "friction"))
-        return jumps(*self.table(points, "phi", "banding")[:2])
+        return jumps(*self.table(points, "phi", "banding")[:2], self.parameters["threshold"])
 
     def edges(self, hows: Sequence[str]) -> list[Edge]:
         """Return the boundaries from all rates and starts; φ is NaN where they are not determined. Rank 0 only."""

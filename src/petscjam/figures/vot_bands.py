@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petscjam.analysis.coexistence import BANDED
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
 from petscjam.figures.large import Crossing, Large, coexisting, half
@@ -18,7 +17,7 @@ from petscjam.md.result import blocked_error
 from petscjam.plots.shear import draw_profiles, plot_maps
 
 LAYERS = 20  # of the table of a map
-STATES = {"B": ("o", "Bagnoldian"), "N": ("^", "Newtonian"), "bands": ("s", f"Rv > {BANDED:g}")}
+STATES = {"B": ("o", "Bagnoldian"), "N": ("^", "Newtonian"), "bands": ("s", "bands")}
 BAGNOLDIAN = 1.5  # d ln P/d ln γ̇ above it
 PAPER = {  # of both bands at P = 2e-5
     "φB*": "0.7880",
@@ -127,7 +126,7 @@ def friction(scan: Large) -> None:
             page.found(f"μ on the contour, {start}", np.nan, np.nan, scan.paper("0.346"), reason)
         _note_ends(scan, start, some)
         for crossing in some:
-            marker, label = STATES[_state(crossing)]
+            marker, label = STATES[_state(scan, crossing)]
             face = {} if start == "random start" else {"mfc": "white"}
             rate, mu = crossing.rate, crossing.friction
             style = {"fmt": marker, "color": "k", "ms": 6, "lw": 0.8, **face}
@@ -162,14 +161,14 @@ def friction(scan: Large) -> None:
 def _note_ends(scan: Large, start: str, crossings: Sequence[Crossing]) -> None:
     """Note where the contour leaves homogeneous Bagnoldian flow (largest φ) and reaches Newtonian flow (smallest φ)."""
     for side, pick, phi, rate in (("B", max, "0.790", "5.06e-5"), ("N", min, "0.8062", "5.2e-6")):
-        homogeneous = [c for c in crossings if _state(c) == side]
+        homogeneous = [c for c in crossings if _state(scan, c) == side]
         if homogeneous:
             end = pick(homogeneous, key=lambda c: c.phi)
             scan.data.page.found(f"φ{side} on the contour, {start}", end.phi, np.nan, scan.paper(phi))
             scan.data.page.found(f"γ̇{side} on the contour, {start}", *end.rate, scan.paper(rate))
 
 
-def _state(crossing: Crossing) -> str:
-    if crossing.banding > BANDED:
+def _state(scan: Large, crossing: Crossing) -> str:
+    if crossing.banding > scan.parameters["threshold"]:
         return "bands"
     return "B" if crossing.slope > BAGNOLDIAN else "N"

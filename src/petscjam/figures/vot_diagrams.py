@@ -80,6 +80,12 @@ def note(scan: Large, edges: Sequence[Edge]) -> None:
             continue
         for edge in (low, high):
             remark = "" if np.isfinite(edge.phi.value) else f"at the end of the range: {MISSING[edge.how]}"
+            if (
+                edge.start == "two-phase start"
+                and np.isfinite(edge.phi.value)
+                and not scan.guess.contains(edge.phi.value)
+            ):
+                remark = "beyond the two-phase starts: coexistence may extend further"
             scan.data.page.found(f"φ{edge.side} {at}", *edge.phi, "", remark)
 
 

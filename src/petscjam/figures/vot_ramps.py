@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from petscjam.analysis.coexistence import BANDED, jump, jumps, loop
+from petscjam.analysis.coexistence import jump, jumps, loop
 from petscjam.analysis.transitions import Located
 from petscjam.base.types import Array
 from petscjam.figures.flows import Ramp
@@ -37,12 +37,12 @@ def _steady(scan: Large) -> dict[str, list[Point]]:
 
 def _boundaries(scan: Large, branches: dict[str, list[Point]]) -> list[float]:
     """Note γ̇B and γ̇N, where Rv rises and falls, and return those that are found."""
-    found = []
+    found, threshold = [], float(scan.parameters["threshold"])
     for start, points in branches.items():
         rates, Rv, _ = scan.table(points, "rate", "banding")
-        for side, at in zip(("B", "N"), jumps(np.log(rates), Rv), strict=True):
+        for side, at in zip(("B", "N"), jumps(np.log(rates), Rv, threshold), strict=True):
             value = float(np.exp(at.value))
-            remark = f"Rv does not exceed {BANDED:g} inside the range of γ̇" if np.isnan(value) else ""
+            remark = f"Rv does not exceed {threshold:g} inside the range of γ̇" if np.isnan(value) else ""
             scan.data.page.found(f"γ̇{side} from Rv, {start}", value, value * at.error, "", remark)
             found += [value] * bool(np.isfinite(value))
     return found
