@@ -550,6 +550,18 @@ def test_two_ranks_make_the_same_runs(tmp_path, comm):
 
 
 @pytest.mark.parallel(nprocs=2)
+def test_an_error_in_a_drawing_is_that_of_all_ranks(tmp_path, comm, monkeypatch):
+    def full(*arguments):
+        raise InputError("no room")
+
+    monkeypatch.setattr("petscjam.figures.vot.save", full)
+    folder = comm.bcast(tmp_path)
+    file = on_root(comm, write, folder / "vot9.toml", TINY["vot9"])
+    with pytest.raises(InputError, match="no room"):
+        make_figure(Request("vot9", "tiny", folder, file), comm=comm, log=lambda line: None)
+
+
+@pytest.mark.parallel(nprocs=2)
 def test_every_rank_knows_what_was_found(tmp_path, comm):
     start(comm)
     folder = comm.bcast(tmp_path)

@@ -6,7 +6,7 @@ a stop.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +24,7 @@ from petscjam.md.starts import Phases
 from petscjam.parallel.comm import on_root
 
 T = TypeVar("T")
+Drawing = Iterator[None]  # of a figure: what all ranks compute and, after a yield, what rank 0 draws
 Search = Generator[list[Point], dict[Point, Run], T]  # yields points, gets their runs
 
 
@@ -218,6 +219,18 @@ class Flows:
             f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g}; in {unsettled} of them the "
             f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}."
         )
+
+
+def draw_on_root(data: FigureData, drawing: Drawing) -> None:
+    """Compute on all ranks, and draw on rank 0; its errors are those of all ranks. Collective.
+
+    Parameters
+    ----------
+    data : FigureData
+    drawing : generator
+    """
+    next(drawing)
+    on_root(data.comm, next, drawing, None)
 
 
 def _quiet(file: Path, run: Run) -> None:

@@ -15,7 +15,7 @@ from petscjam.analysis.transitions import JAMMING, Located, crossing, divergence
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.figures.data import FigureData
-from petscjam.figures.flows import Flows, Search, bisection, mean, over_seeds
+from petscjam.figures.flows import Drawing, Flows, Search, bisection, mean, over_seeds
 from petscjam.md.engine import BINS
 from petscjam.md.grid import Point, grid
 from petscjam.md.result import Mean, Run
@@ -229,7 +229,7 @@ def finish(flows: Flows, figure: Figure, panels: Any) -> None:
     save(figure, flows.data.picture)
 
 
-def against_Q(scan: Scan, quantity: Quantity) -> None:
+def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
     """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), with the runs of the bisection.
 
     Parameters
@@ -238,8 +238,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> None:
     quantity : Quantity
     """
     shares = scan.shares()
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     draw_lines(scan.data, axes, scan.points(), scan.runs, quantity, "Q", "phi")
@@ -250,7 +249,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> None:
     finish(scan.flows, figure, panels)
 
 
-def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> None:
+def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> Drawing:
     """Quantities against Q at two φ and several rates (VOT figs. 2, 5, 6, 11, 13, 14); the second of a panel is open.
 
     Parameters
@@ -261,8 +260,7 @@ def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> 
     """
     points = scan.points(scan.details, rate=sorted({scan.rate, *scan.rates}))
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(len(scan.details), len(quantities))
     for phi, row in zip(sorted(scan.details, reverse=True), panels, strict=True):
         for some, axes in zip(quantities, row, strict=True):
@@ -299,11 +297,10 @@ def _independence(scan: Scan, points: Sequence[Point]) -> None:
             scan.data.page.found(f"ηp_el in the Newtonian state, φ = {phi:g}", average, error, "", remark)
 
 
-def phase_diagram_CD(scan: Scan) -> None:
+def phase_diagram_CD(scan: Scan) -> Drawing:
     """Qc(φ), and the fit Qc = Q0 + c (φJ − φ)^−x (VOT fig. 3)."""
     shares = scan.shares()
-    if scan.data.comm.rank:
-        return
+    yield
     page, figure_ = scan.data.page, canvas(1, 1)
     figure, panels = figure_
     axes = panels[0, 0]
@@ -350,12 +347,11 @@ def _draw_transition(scan: Scan, axes: Axes, found: dict[float, Located], name: 
         scan.data.page.number(name, at, *Qc)
 
 
-def collision_angles(scan: Scan) -> None:
+def collision_angles(scan: Scan) -> Drawing:
     """Histograms of the collision angle at making and breaking of contacts, for three Q (VOT figs. 8, 18)."""
     shares, points = scan.shares(), scan.points(scan.details)
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     located = scan.located(shares)
     figure, panels = canvas(1, len(scan.details))
     angle = (np.arange(BINS) + 0.5) * 360 / BINS - 180
@@ -375,12 +371,11 @@ def collision_angles(scan: Scan) -> None:
     finish(scan.flows, figure, panels)
 
 
-def tangential_collisions(scan: Scan) -> None:
+def tangential_collisions(scan: Scan) -> Drawing:
     """P(ϑ = 90°) against Q (VOT figs. 9, 19)."""
     points = scan.points(scan.details)
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, len(scan.details))
     near = np.abs(np.abs((np.arange(BINS) + 0.5) * 360 / BINS - 180) - 90) < 360 / BINS
     for phi, axes in zip(sorted(scan.details, reverse=True), panels[0], strict=True):
@@ -400,7 +395,7 @@ def tangential_collisions(scan: Scan) -> None:
     finish(scan.flows, figure, panels)
 
 
-def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> None:
+def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> Drawing:
     """Quantities against φ: at all Q (VOT figs. 15, 20) or, with ``rates``, at two Q and several rates (fig. 16).
 
     Parameters
@@ -413,8 +408,7 @@ def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> N
     Qs = scan.parameters.points("Q_details").tolist() if rates else scan.Qs
     points = scan.points(Q=Qs, rate=sorted({scan.rate, *scan.rates}) if rates else [])
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(len(Qs) if rates else 1, len(quantities))
     for Q, row in zip(Qs if rates else [None], panels, strict=True):
         here = [p for p in points if Q in (None, p.Q)]
@@ -431,13 +425,12 @@ def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> N
     finish(scan.flows, figure, panels)
 
 
-def contact_velocities(scan: Scan) -> None:
+def contact_velocities(scan: Scan) -> Drawing:
     """Scatter of the components of the contact velocity, and principal axes of their covariance (VOT fig. 21)."""
     Q = scan.parameters.points("Q_details").tolist()[:1]
     points = scan.points(scan.details, Q)
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     names, words = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$"), ("V_T", "V^R", "V^C_T", "V_N")
     figure, panels = canvas(3, len(scan.details))
     for phi, column in zip(sorted(scan.details), panels.T, strict=True):
@@ -463,12 +456,11 @@ def _covariance(runs: Sequence[Run]) -> tuple[Array, Array]:
     return first, second - np.outer(first, first)
 
 
-def differences_Q(scan: Scan) -> None:
+def differences_Q(scan: Scan) -> Drawing:
     """Z/γ̇ at the lowest rate minus that at the next one, against Q: Qc and Q* (VOT fig. 32)."""
     points = scan.points(scan.details, rate=scan.low)
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, len(scan.details))
     for phi, axes in zip(sorted(scan.details, reverse=True), panels[0], strict=True):
         quantity = Quantity("", "", "contacts", lambda p: 1 / p.rate)
@@ -481,13 +473,12 @@ def differences_Q(scan: Scan) -> None:
     finish(scan.flows, figure, panels)
 
 
-def differences_phi(scan: Scan) -> None:
+def differences_phi(scan: Scan) -> Drawing:
     """Bp^el at the lowest rate minus that at the next one, against φ: φc (VOT fig. 33)."""
     Qs = scan.parameters.points("Q_details").tolist()
     points = scan.points(Q=Qs, rate=scan.low)
     scan.flows.make(points)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, len(Qs))
     for Q, axes in zip(Qs, panels[0], strict=True):
         x, values = scan.differences("phi", [p for p in points if p.Q == Q], B_P)
@@ -515,14 +506,13 @@ def _draw_differences(scan: Scan, axes: Axes, x: Array, values: Array, name: str
         scan.data.page.number(name, *row)
 
 
-def phase_diagram_CD_rot(scan: Scan) -> None:
+def phase_diagram_CD_rot(scan: Scan) -> Drawing:
     """Qc(φ), φc(Q) and Q*(φ) (VOT fig. 17)."""
     shares = scan.shares()
     Qs = scan.parameters.points("Q_details").tolist()
     by_Q, by_phi = scan.points(scan.details, rate=scan.low), scan.points(Q=Qs, rate=scan.low)
     scan.flows.make([*by_Q, *by_phi])
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     _draw_transition(scan, axes, scan.located(shares), "Qc")

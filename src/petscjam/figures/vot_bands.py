@@ -8,6 +8,7 @@ import numpy as np
 
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
+from petscjam.figures.flows import Drawing
 from petscjam.figures.large import Crossing, Large, coexisting, half
 from petscjam.figures.vot import AXES, canvas, finish
 from petscjam.md.banding import Bands
@@ -29,11 +30,10 @@ PAPER = {  # of both bands at P = 2e-5
 }
 
 
-def maps(scan: Large) -> None:
+def maps(scan: Large) -> Drawing:
     """Local packing fraction and strain rate at the end of the run in the middle of the contour (VOT fig. 27)."""
     point = scan.contour[len(scan.contour) // 2]
-    if scan.data.comm.rank:
-        return
+    yield
     state = scan.runs[point].state
     _note_bands(scan, point)
     phi, rate = local_maps(state)
@@ -51,11 +51,10 @@ def maps(scan: Large) -> None:
     plot_maps(state, scan.data.picture)
 
 
-def profiles(scan: Large) -> None:
+def profiles(scan: Large) -> Drawing:
     """vx(y), γ̇(y) and φ(y) at the points of the contour, with f and f′, of the second half of a run (VOT fig. 28)."""
     points = scan.contour
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(3, len(points))
     for point, column in zip(points, panels.T, strict=True):
         run, at = scan.runs[point], f"φ = {point.phi:g}, γ̇ = {point.rate:g}"
@@ -109,14 +108,13 @@ def lever_rule(found: Bands) -> Located:
     return Located(float(share * low + (1 - share) * high), float(np.linalg.norm(parts)))
 
 
-def friction(scan: Large) -> None:
+def friction(scan: Large) -> Drawing:
     """μ against φ and γ̇ at constant P, and the lever rule (VOT fig. 34).
 
     At each φ, γ̇ and μ are interpolated between two runs: linearly in ln γ̇ and ln P.
     """
     branches, contour = scan.scan, scan.contour
-    if scan.data.comm.rank:
-        return
+    yield
     page, level = scan.data.page, scan.parameters["pressure"]
     figure, panels = canvas(1, 2)
     for start, points in branches.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from petscjam.figures import vot
 from petscjam.figures.data import FigureData
+from petscjam.figures.flows import draw_on_root
 
 FIGURES = {
     "vot1": lambda scan: vot.against_Q(scan, vot.P_EL),
@@ -19,4 +20,4 @@ FIGURES = {
 
 def draw(data: FigureData) -> None:
     """Compute and draw a figure."""
-    FIGURES[data.parameters.figure](vot.Scan(data, "CD"))
+    draw_on_root(data, FIGURES[data.parameters.figure](vot.Scan(data, "CD")))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from petscjam.figures import vot
 from petscjam.figures.data import FigureData
+from petscjam.figures.flows import draw_on_root
 
 FIGURES = {
     "vot10": lambda scan: vot.against_Q(scan, vot.P_EL),
@@ -25,4 +26,4 @@ FIGURES = {
 
 def draw(data: FigureData) -> None:
     """Compute and draw a figure."""
-    FIGURES[data.parameters.figure](vot.Scan(data, "CD_rot"))
+    draw_on_root(data, FIGURES[data.parameters.figure](vot.Scan(data, "CD_rot")))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.transitions import JAMMING, Located
+from petscjam.figures.flows import Drawing
 from petscjam.figures.large import MISSING, SIDES, Edge, Large, half
 from petscjam.figures.vot import AXES, P_EL, Quantity, canvas, draw_lines, finish
 
@@ -32,7 +33,7 @@ LIMIT = "< 5e-4"  # γ̇ of the critical end point (VOT sec. III C)
 NO_END = "not determined: fewer than three runs with bands, or φN* − φB* does not decrease by two standard errors"
 
 
-def against_phi(scan: Large, how: str) -> None:
+def against_phi(scan: Large, how: str) -> Drawing:
     """A quantity against φ at all rates, and the boundaries of coexistence from it (VOT figs. 22–24).
 
     Random starts have filled symbols, two-phase starts open ones; large open symbols are boundaries.
@@ -44,8 +45,7 @@ def against_phi(scan: Large, how: str) -> None:
         ``P_el``, ``μ`` or ``Rv``.
     """
     branches, quantity = scan.scan, QUANTITIES[how]
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     random = branches["random start"]
@@ -126,7 +126,7 @@ def draw_edges(scan: Large, axes: Axes, edges: Sequence[Edge], x: str, y: str) -
     axes.set(xlabel=PLANES[x], ylabel=PLANES[y])
 
 
-def diagram(scan: Large, x: str, y: str) -> None:
+def diagram(scan: Large, x: str, y: str) -> Drawing:
     """Draw all boundaries in a plane, the binodal from coexisting bands, and its end point (VOT figs. 25, 26, 29).
 
     Parameters
@@ -136,8 +136,7 @@ def diagram(scan: Large, x: str, y: str) -> None:
         Attributes of :class:`Edge`.
     """
     branches, _ = scan.scan, scan.contour
-    if scan.data.comm.rank:
-        return
+    yield
     page, level = scan.data.page, scan.parameters["pressure"]
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
@@ -207,11 +206,10 @@ def _shade(axes: Axes, edges: Sequence[Edge]) -> None:
         axes.fill_betweenx(rates, low, high, color="0.9", lw=0, zorder=0)
 
 
-def binodal(scan: Large) -> None:
+def binodal(scan: Large) -> Drawing:
     """The boundaries from Rv, and (φ, γ̇) inside coexisting bands (VOT fig. 35)."""
     _ = scan.scan, scan.contour
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     edges, found = scan.edges(["Rv"]), scan.binodal()
     draw_edges(scan, panels[0, 0], [*edges, *(edge for pair in found for edge in pair[1:])], "phi", "rate")
@@ -230,14 +228,13 @@ def binodal(scan: Large) -> None:
     finish(scan.flows, figure, panels)
 
 
-def two_sizes(scan: Large) -> None:
+def two_sizes(scan: Large) -> Drawing:
     """Rv against φ for two numbers of disks, random starts (VOT fig. 36)."""
     sizes = [int(scan.parameters[name]) for name in ("particles", "smaller")]
     rates = sorted(scan.parameters.points("size_rates").tolist())
     points = {n: scan.points(scan.phis, rates, n) for n in sizes}
     scan.flows.make([p for some in points.values() for p in some])
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     for n, some in points.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from petscjam.figures import vot_bands, vot_diagrams, vot_ramps
 from petscjam.figures.data import FigureData
+from petscjam.figures.flows import draw_on_root
 from petscjam.figures.large import Large
 
 FIGURES = {
@@ -25,4 +26,4 @@ FIGURES = {
 
 def draw(data: FigureData) -> None:
     """Compute and draw a figure."""
-    FIGURES[data.parameters.figure](Large(data))
+    draw_on_root(data, FIGURES[data.parameters.figure](Large(data)))

@@ -10,7 +10,7 @@ import numpy as np
 from petscjam.analysis.coexistence import jump, jumps, loop
 from petscjam.analysis.transitions import Located
 from petscjam.base.types import Array
-from petscjam.figures.flows import Ramp
+from petscjam.figures.flows import Drawing, Ramp
 from petscjam.figures.large import Large
 from petscjam.figures.vot import AXES, Quantity, canvas, draw_lines, finish
 from petscjam.figures.vot_diagrams import STARTS
@@ -48,11 +48,10 @@ def _boundaries(scan: Large, branches: dict[str, list[Point]]) -> list[float]:
     return found
 
 
-def steady(scan: Large) -> None:
+def steady(scan: Large) -> Drawing:
     """Steady Σ(γ̇) at one packing fraction (VOT fig. 30)."""
     branches = _steady(scan)
-    if scan.data.comm.rank:
-        return
+    yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     for start, points in branches.items():
@@ -66,7 +65,7 @@ def steady(scan: Large) -> None:
     finish(scan.flows, figure, panels)
 
 
-def ramps(scan: Large) -> None:
+def ramps(scan: Large) -> Drawing:
     """Σ in ramps of γ̇ up and down, jumps, and width of the hysteresis against κ̃ (VOT fig. 31)."""
     p = scan.parameters
     kappas = sorted(p.points("kappas").tolist())
@@ -81,8 +80,7 @@ def ramps(scan: Large) -> None:
     }
     branches = _steady(scan)
     scan.flows.make([point for some in points.values() for point in some])
-    if scan.data.comm.rank:
-        return
+    yield
     edges = _boundaries(scan, branches)
     figure, panels = canvas(1, len(kappas) + 1)
     found = []
