@@ -148,16 +148,16 @@ def test_packings_are_minima_and_come_back(law, method, tmp_path, monkeypatch):
 
 
 def test_runs_come_back(tmp_path, monkeypatch):
-    packing = pj.prepare_packing(32, 1e-2, potential_name="capped")
+    packing = pj.prepare_packing(32, 1e-2, potential_name="capped-relative")
     file = tmp_path / "run.h5"
     run = pj.md.shear("CD", start=packing, rate=1e-3, strain=0.02, output=file)
     assert run.missed < 0.01
     more = pj.md.shear("CD", start=packing, rate=1e-3, strain=0.04, output=file, resume=True)
     whole = pj.md.shear("CD", start=packing, rate=1e-3, strain=0.04)
     assert (more.state.positions == whole.state.positions).all()
-    assert pj.md.read(file).settings.model.potential is POTENTIALS["capped"]
-    monkeypatch.delitem(POTENTIALS, "capped")
-    with pytest.raises(InputError, match="'capped' is unknown"):
+    assert pj.md.read(file).settings.model.potential is POTENTIALS["capped-relative"]
+    monkeypatch.delitem(POTENTIALS, "capped-relative")
+    with pytest.raises(InputError, match="'capped-relative' is unknown"):
         pj.md.read(file)
 
 
