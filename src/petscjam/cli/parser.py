@@ -260,7 +260,7 @@ def _figure(known: Verbs) -> None:
         RANKS,
     )
     p.add_argument("name", metavar="NAME", help=listing)
-    text = "small (default: minutes on two cores), medium (4096 disks) or paper (32768 disks: hours to days)"
+    text = "small (default: minutes on two cores), medium (hours) or paper (sizes of the paper: hours to days)"
     p.add_argument("--preset", default="small", metavar="NAME", help=text)
     text = "other parameters than those of mpi_runs/NAME.toml, a table for each preset"
     p.add_argument("--parameters", type=path, metavar="FILE.toml", help=text)

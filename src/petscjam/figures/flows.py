@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.base.errors import InputError, SolverError
 from petscjam.figures.data import FigureData
 from petscjam.md import protocols
@@ -217,7 +218,8 @@ class Flows:
         unsettled = sum(not self._good(run) for run in steady)
         return (
             f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g}; in {unsettled} of them the "
-            f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}."
+            f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}. "
+            "Integrator single, default time steps."
         )
 
 
@@ -261,9 +263,14 @@ def falls(points: Sequence[Point], runs: dict[Point, Run], least: float = 3.0) -
     least : float
     """
     Qs = sorted({point.Q for point in points})
-    logs = np.array([np.mean([np.log(runs[p].mean("contacts").value) for p in points if p.Q == Q]) for Q in Qs])
+    logs = np.array([np.mean([_log_contacts(runs[p]) for p in points if p.Q == Q]) for Q in Qs])
     k = int(np.diff(logs).argmin())
     return (Qs[k], Qs[k + 1]) if logs[k] - logs[k + 1] > np.log(least) else None
+
+
+def _log_contacts(run: Run) -> float:
+    """Return ln Z; a run without contacts counts as one with a contact in a hundredth of the time."""
+    return float(np.log(max(run.mean("contacts").value, 0.02 / run.settings.particles)))
 
 
 def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -> Search[dict[float, list[float]]]:
@@ -292,7 +299,7 @@ def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -
         return {}
     at = {Q: [p for p in points if p.Q == Q] for Q in ends}
     low, high = ends
-    level = {Q: np.mean([np.log(runs[p].mean("contacts").value) for p in some]) for Q, some in at.items()}
+    level = {Q: np.mean([_log_contacts(runs[p]) for p in some]) for Q, some in at.items()}
     threshold = float(np.exp((level[low] + level[high]) / 2))
     shares = {Q: [newtonian(runs[p], threshold) for p in some] for Q, some in at.items()}
     for _ in range(rounds):
@@ -352,4 +359,4 @@ def over_seeds(runs: Sequence[Run], what: str) -> Mean:
     values = np.array([one.value for one in found])
     if len(values) == 1:
         return found[0]
-    return Mean(float(values.mean()), float(values.std(ddof=1) / len(values) ** 0.5))
+    return Mean(float(values.mean()), float(standard_error(values)))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.analysis.transitions import JAMMING, Located, crossing, divergence, midpoint, onset
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
@@ -230,7 +231,7 @@ def finish(flows: Flows, figure: Figure, panels: Any) -> None:
 
 
 def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
-    """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), with the runs of the bisection.
+    """A quantity against Q at all φ (VOT figs. 1, 4, 10, 12), and Qc from the bisection.
 
     Parameters
     ----------
@@ -292,7 +293,7 @@ def _independence(scan: Scan, points: Sequence[Point]) -> None:
             weights = e**-2.0 if (e > 0).all() else np.ones_like(v)
             average = float((weights * v).sum() / weights.sum())
             chi2 = float(((v - average) ** 2 / np.where(e > 0, e, np.nan) ** 2).sum() / (len(v) - 1))
-            error = float(v.std(ddof=1) / len(v) ** 0.5)
+            error = float(standard_error(v))
             remark = f"Q = {Qs[0]:g} to {Qs[-1]:g}, χ² per degree of freedom {chi2:.1f}"
             scan.data.page.found(f"ηp_el in the Newtonian state, φ = {phi:g}", average, error, "", remark)
 
@@ -301,29 +302,30 @@ def phase_diagram_CD(scan: Scan) -> Drawing:
     """Qc(φ), and the fit Qc = Q0 + c (φJ − φ)^−x (VOT fig. 3)."""
     shares = scan.shares()
     yield
-    page, figure_ = scan.data.page, canvas(1, 1)
-    figure, panels = figure_
+    page = scan.data.page
+    figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     found = scan.located(shares)
     _draw_transition(scan, axes, found, "Qc")
     for phi in scan.phis:
-        if phi in found:
+        if phi not in found:
+            page.found(f"Qc at φ = {phi:g}", np.nan, np.nan, "", "Z does not fall sharply in this range of Q")
+        else:
             values = [
                 [scan.runs[p].mean("pressure_elastic").value for p in _row(scan, phi, seed)] for seed in _seeds(scan)
             ]
             page.found(f"midpoint of the fall of P_el, φ = {phi:g}", *midpoint(scan.Qs, values), "")
-    if len(found) >= 4:
-        phi, Qc, error = np.array([(phi, *Qc) for phi, Qc in found.items()]).T
-        try:
-            fit = divergence(phi, Qc, error)
-        except InputError as problem:
-            page.found("x of Qc = Q0 + c (φJ − φ)^−x", np.nan, np.nan, "1.1 ± 0.1", str(problem))
-        else:
-            page.found("x of Qc = Q0 + c (φJ − φ)^−x", *fit.x, "1.1 ± 0.1", "φJ = 0.8433 fixed")
-            page.found("Q0", *fit.Q0, "1.2")
-            page.found("c", *fit.c, "")
-            fine = np.linspace(phi.min(), min(phi.max() + 0.01, JAMMING - 1e-3), 200)
-            axes.plot(fine, fit(fine), "-", color="0.3", lw=1, label="fit")
+    phi, Qc, error = np.reshape([(phi, *Qc) for phi, Qc in found.items()], (-1, 3)).T
+    try:
+        fit = divergence(phi, Qc, error)
+    except InputError as problem:
+        page.found("x of Qc = Q0 + c (φJ − φ)^−x", np.nan, np.nan, "1.1 ± 0.1", str(problem))
+    else:
+        page.found("x of Qc = Q0 + c (φJ − φ)^−x", *fit.x, "1.1 ± 0.1", "φJ = 0.8433 fixed")
+        page.found("Q0", *fit.Q0, "1.2")
+        page.found("c", *fit.c, "")
+        fine = np.linspace(phi.min(), min(phi.max() + 0.01, JAMMING - 1e-3), 200)
+        axes.plot(fine, fit(fine), "-", color="0.3", lw=1, label="fit")
     axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
     axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
     finish(scan.flows, figure, panels)
@@ -386,8 +388,7 @@ def tangential_collisions(scan: Scan) -> Drawing:
                 for run in (scan.runs[p] for p in points if p.phi == phi and p.Q == Q):
                     counts = run.blocks[name].sum(0)
                     each.append(counts[near].mean() / max(counts.sum(), 1) * BINS / 360)
-                error = float(np.std(each, ddof=1) / len(each) ** 0.5) if len(each) > 1 else np.nan
-                values.append((float(np.mean(each)), error))
+                values.append((float(np.mean(each)), float(standard_error(each))))
                 scan.data.page.number(f"P(90°) at {name}, φ = {phi:g}", Q, *values[-1])
             y, error_ = np.array(values).T
             axes.errorbar(scan.Qs, y, np.nan_to_num(error_), fmt=symbol, ms=4, lw=0.8, label=name)
@@ -499,7 +500,7 @@ def _note(scan: Scan, name: str, found: Located, paper: str) -> None:
 
 def _draw_differences(scan: Scan, axes: Axes, x: Array, values: Array, name: str) -> None:
     y = values.mean(0)
-    error = values.std(0, ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.full(len(y), np.nan)
+    error = standard_error(values)
     axes.errorbar(x, y, np.nan_to_num(error), fmt="o-", ms=4, lw=0.8, color="k")
     axes.axhline(0, color="0.7", lw=0.8)
     for row in zip(x, y, error, strict=True):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
 from petscjam.figures.flows import Drawing
@@ -43,7 +44,7 @@ def maps(scan: Large) -> Drawing:
         for m in range(LAYERS):
             some = values[(layer == m) & np.isfinite(values)]
             if len(some) > 1:
-                middle, error = (m + 0.5) * state.height / LAYERS, float(some.std(ddof=1) / len(some) ** 0.5)
+                middle, error = (m + 0.5) * state.height / LAYERS, float(standard_error(some))
                 scan.data.page.number(
                     f"{name}, mean over disks of a layer, against y", middle, float(some.mean()), error
                 )

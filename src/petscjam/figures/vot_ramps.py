@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.coexistence import jump, jumps, loop
+from petscjam.analysis.statistics import standard_error
 from petscjam.analysis.transitions import Located
 from petscjam.base.types import Array
 from petscjam.figures.flows import Drawing, Ramp
@@ -130,6 +131,6 @@ def _found(scan: Large, name: str, samples: Array, remark: str, paper: str = "")
     """Note the mean over starts and its error."""
     known = samples[np.isfinite(samples)]
     value = float(known.mean()) if len(known) else np.nan
-    error = float(known.std(ddof=1) / len(known) ** 0.5) if len(known) > 1 else np.nan
+    error = float(standard_error(known))
     scan.data.page.found(name, value, error, paper, remark if len(known) else "fewer rows with Σ > 0 than needed")
     return Located(value, error)
