@@ -10,7 +10,7 @@ if [ "$(id -u)" != 0 ] || ! command -v debootstrap >/dev/null; then
     exit 1
 fi
 if [ -n "${FRESH:-}" ]; then
-    fresh=$FRESH
+    fresh=$FRESH && mkdir -p "$fresh"
 else
     fresh=$(mktemp -d -t petscjam-fresh-XXXX)
     trap 'rm -rf --one-file-system "$fresh"' EXIT
