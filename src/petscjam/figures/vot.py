@@ -180,11 +180,9 @@ def draw_lines(
     filled : bool
         Symbols, and labels in the legend.
     """
-    from matplotlib import colormaps
-
     values = sorted({getattr(p, key) for p in points})
-    for k, value in enumerate(values):
-        colour = colormaps["viridis"](0.9 * k / max(len(values) - 1, 1))
+    for value in values:
+        colour = _colour(values, value)
         xs = sorted({getattr(p, x) for p in points if getattr(p, key) == value})
         found = [
             quantity.of([p for p in points if getattr(p, key) == value and getattr(p, x) == one], runs) for one in xs
@@ -197,6 +195,14 @@ def draw_lines(
             name = ", ".join(part for part in (quantity.name, note, label) if part)
             data.page.number(name, one, mean_, deviation)
     axes.set(xlabel=AXES[x], ylabel=quantity.symbol)
+
+
+def _colour(values: Sequence[float], value: float) -> tuple[float, ...]:
+    """Return the colour of one of ``values``."""
+    from matplotlib import colormaps
+
+    place = sorted(values).index(value) / max(len(values) - 1, 1)
+    return tuple(colormaps["viridis"](0.9 * place))
 
 
 def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
@@ -245,7 +251,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
     draw_lines(scan.data, axes, scan.points(), scan.runs, quantity, "Q", "phi")
     axes.set(xscale="log", yscale="log")
     for phi, Qc in scan.located(shares).items():
-        axes.axvline(Qc.value, color="0.8", lw=0.8, zorder=0)
+        axes.axvline(Qc.value, ls="--", lw=0.8, color=_colour(scan.phis, phi), zorder=0)
         scan.data.page.found(f"Qc at φ = {phi:g}", *Qc, "")
     finish(scan.flows, figure, panels)
 
@@ -420,10 +426,22 @@ def against_phi(scan: Scan, quantities: Sequence[Quantity], *, rates: bool) -> D
             axes.set(yscale="linear" if signed else "log", title=note)
             if quantity is SPIN:
                 axes.axhline(-0.5, color="0.7", lw=0.8)
+    if rates:
+        for Q in Qs:
+            _exponent(scan, Q)
     if SPIN in quantities:
         values = [SPIN.of([p], scan.runs).value for p in points]
         scan.data.page.mean("⟨θ̇⟩/γ̇ over all runs", values, "−1/2")
     finish(scan.flows, figure, panels)
+
+
+def _exponent(scan: Scan, Q: float) -> None:
+    """Note d ln P^el/d ln γ̇ at the largest φ: 1 in Newtonian flow, 2 in Bagnoldian flow."""
+    phi, rates = max(scan.phis), scan.low
+    each = [[mean(scan.runs[p], "pressure_elastic").value for p in scan.points([phi], [Q], [rate])] for rate in rates]
+    slopes = np.subtract(*np.log(each)) / np.log(rates[0] / rates[1])
+    remark = f"γ̇ from {rates[0]:g} to {rates[1]:g}; 1: Newtonian, 2: Bagnoldian"
+    scan.data.page.mean(f"d ln P^el/d ln γ̇ at φ = {phi:g}, Q = {Q:g}", slopes, "1", remark)
 
 
 def contact_velocities(scan: Scan) -> Drawing:

@@ -53,6 +53,11 @@ def against_phi(scan: Large, how: str) -> Drawing:
         filled = start == "random start"
         draw_lines(scan.data, axes, points, scan.runs, quantity, "phi", "rate", note=start, filled=filled)
     axes.set(yscale="linear" if how == "μ" else "log", title=STARTS)
+    if how == "μ":
+        runs = [scan.runs[p] for points in branches.values() for p in points]
+        shares = [-run.mean("dissipative_xy").value / run.mean("stress").value for run in runs]
+        remark = f"from {min(shares):.2g} to {max(shares):.2g} in single runs"
+        scan.data.page.mean("σ^dis/σ, mean over runs", shares, "0.1 to 0.2", remark)
     edges = scan.edges([how])
     note(scan, edges)
     scan.tally_lost()
