@@ -63,8 +63,9 @@ docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-figures: $(READY) ## every figure of the paper with 4096 disks, and its page in the docs (an hour; resumable)
+figures: $(READY) ## every figure of both papers (medium), and its page in the docs (an hour, and nine hours; resumable)
 	mpi_runs/figures.sh medium
+	mpi_runs/figures.sh medium vot
 	$(PYTHON) tools/paper-pages.py runs/medium
 
 bench: $(READY) ## spectrum and direct solves compared with bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)

@@ -212,12 +212,14 @@ class Flows:
 
     @property
     def tally(self) -> str:
-        """The number of runs, and their total strain, for the page."""
+        """The number of runs, their total strain and their cost, for the page."""
         strain = sum(map(self._strain, self.runs.values()))
+        cost = sum(run.rows["steps"].sum() * run.settings.particles for run in self.runs.values())
         steady = [run for point, run in self.runs.items() if not isinstance(point, Ramp)]
         unsettled = sum(not self._good(run) for run in steady)
         return (
-            f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g}; in {unsettled} of them the "
+            f"{len(self.runs)} runs of the set {self.name}, a total strain of {strain:.4g} in "
+            f"{cost:.2g} disk steps; in {unsettled} of them the "
             f"error of P^el is above {self.goal:.0%} at a strain of {self.budget:g}. "
             "Integrator single, default time steps."
         )

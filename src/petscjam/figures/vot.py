@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Runs = dict[Point, Run]
-LABELS = {"phi": "φ = {:g}", "Q": "Q = {:g}", "rate": "γ̇ = {:.0e}"}
+BRIEF = 0.01  # longest mean contact, in the time of the means, for VOT eq. 25
+LABELS = {"phi": "φ = {:g}", "Q": "Q = {:.3g}", "rate": "γ̇ = {:.0e}"}
 AXES = {"phi": r"$\phi$", "Q": "$Q$", "rate": r"$\dot\gamma\tau_e$"}
 
 
@@ -274,7 +275,8 @@ def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> 
             for k, quantity in enumerate(some):
                 here = [p for p in points if p.phi == phi]
                 draw_lines(scan.data, axes, here, scan.runs, quantity, "Q", "rate", note=f"φ = {phi:g}", filled=k == 0)
-            axes.set(xscale="log", yscale="log", title=f"φ = {phi:g}")
+            ylabel = ", ".join(quantity.symbol for quantity in some)
+            axes.set(xscale="log", yscale="log", title=f"φ = {phi:g}", ylabel=ylabel)
     if [PRODUCT] in [list(some[1:]) for some in quantities]:
         _compare_product(scan, points)
     if quantities[0] == (ETA_P,):
@@ -283,9 +285,18 @@ def against_Q_and_rate(scan: Scan, quantities: Sequence[Sequence[Quantity]]) -> 
 
 
 def _compare_product(scan: Scan, points: Sequence[Point]) -> None:
-    """Note how well Z = 2 τdur νcoll (VOT eq. 25) holds."""
-    ratios = [mean(scan.runs[p], "product").value / mean(scan.runs[p], "contacts").value for p in points]
-    scan.data.page.mean("2τdurνcoll/Z over all runs", ratios, "1")
+    """Note how well Z = 2 τdur νcoll (VOT eq. 25) holds: contacts that are open at the end have no duration yet."""
+    short: list[float] = []
+    long: list[float] = []
+    for run in (scan.runs[p] for p in points):
+        product, contacts, duration = (mean(run, what) for what in ("product", "contacts", "duration_time"))
+        window = float(np.ptp(run.time[run.after()]))
+        (short if duration.value < BRIEF * window else long).append(product.value / contacts.value)
+    for some, relation in ((short, "below"), (long, "above")):
+        if some:
+            remark = f"{len(some)} runs, {min(some):.3g} to {max(some):.3g}"
+            name = f"2τdurνcoll/Z, τdur {relation} {BRIEF:g} of the time of the means"
+            scan.data.page.mean(name, some, "1" if some is short else "", remark)
 
 
 def _independence(scan: Scan, points: Sequence[Point]) -> None:
@@ -371,7 +382,7 @@ def collision_angles(scan: Scan) -> Drawing:
             for name, style in (("making", "-"), ("breaking", "--")):
                 counts = np.sum([run.blocks[name].sum(0) for run in some], axis=0)
                 density = counts / max(counts.sum(), 1) * BINS / 360
-                axes.plot(angle, density, style, color=f"C{k}", label=f"Q = {Q:g}, {name}")
+                axes.plot(angle, density, style, color=f"C{k}", label=f"Q = {Q:.3g}, {name}")
                 for at, value in zip(angle, density, strict=True):
                     error = float(np.sqrt(value * BINS / 360 / max(counts.sum(), 1)))
                     scan.data.page.number(f"P(ϑ) at {name}, φ = {phi:g}, Q = {Q:g}", at, value, error)
