@@ -481,8 +481,10 @@ def contact_velocities(scan: Scan) -> Drawing:
 
 def _covariance(runs: Sequence[Run]) -> tuple[Array, Array]:
     """Return the mean (4,) and the covariance (4, 4) of V_T, V^R, V^C_T and V_N over the contacts of runs."""
-    count = sum(run.blocks["pairs"].sum() for run in runs)
-    first, second = (sum(run.blocks[name].sum(0) for run in runs) / count for name in ("first", "second"))
+    count, first, second = (
+        np.sum([run.blocks[name].sum(0) for run in runs], axis=0) for name in ("pairs", "first", "second")
+    )
+    first, second = first / count, second / count
     return first, second - np.outer(first, first)
 
 
