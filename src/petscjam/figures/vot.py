@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Runs = dict[Point, Run]
 BRIEF = 0.01  # longest mean contact, in the time of the means, for VOT eq. 25
+CRITICAL = 0.80  # φc of CD_rot at small Q, N = 1024 (VOT fig. 17)
 LABELS = {"phi": "φ = {:g}", "Q": "Q = {:.3g}", "rate": "γ̇ = {:.0e}"}
 AXES = {"phi": r"$\phi$", "Q": "$Q$", "rate": r"$\dot\gamma\tau_e$"}
 
@@ -101,6 +102,10 @@ class Scan:
         """The two lowest rates, for the criteria of Appendix A."""
         first, second, *_ = sorted({self.rate, *self.rates})
         return first, second
+
+    def transition(self, phi: float) -> str:
+        """Return ``Qc``, or ``Q*`` where the flow is Bagnoldian on both sides (CD_rot below φc)."""
+        return "Qc" if self.model == "CD" or phi >= CRITICAL else "Q*"
 
     def points(self, phi: Sequence[float] = (), Q: Sequence[float] = (), rate: Sequence[float] = ()) -> list[Point]:
         """Return points; an empty sequence stands for all φ, all Q, the rate of the scan.
@@ -253,7 +258,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
     axes.set(xscale="log", yscale="log")
     for phi, Qc in scan.located(shares).items():
         axes.axvline(Qc.value, ls="--", lw=0.8, color=_colour(scan.phis, phi), zorder=0)
-        scan.data.page.found(f"Qc at φ = {phi:g}", *Qc, "")
+        scan.data.page.found(f"{scan.transition(phi)} at φ = {phi:g}", *Qc, "")
     finish(scan.flows, figure, panels)
 
 
@@ -356,13 +361,13 @@ def _row(scan: Scan, phi: float, seed: int) -> list[Point]:
     return [p for p in scan.points([phi]) if p.seed == seed]
 
 
-def _draw_transition(scan: Scan, axes: Axes, found: dict[float, Located], name: str, paper: str = "") -> None:
+def _draw_transition(scan: Scan, axes: Axes, found: dict[float, Located], name: str, colour: str = "k") -> None:
     """Draw located Q against φ, and note them."""
     if found:
         phi, Q, error = np.array([(phi, *Q) for phi, Q in found.items()]).T
-        axes.errorbar(phi, Q, np.nan_to_num(error), fmt="o", color="k", label=name)
+        axes.errorbar(phi, Q, np.nan_to_num(error), fmt="o", color=colour, label=name)
     for at, Qc in found.items():
-        scan.data.page.found(f"{name} at φ = {at:g}", *Qc, paper)
+        scan.data.page.found(f"{name} at φ = {at:g}", *Qc, "")
         scan.data.page.number(name, at, *Qc)
 
 
@@ -499,7 +504,7 @@ def differences_Q(scan: Scan) -> Drawing:
         x, values = scan.differences("Q", [p for p in points if p.phi == phi], quantity)
         _draw_differences(scan, axes, x, values, f"Z/γ̇ difference, φ = {phi:g}")
         found = onset(x[::-1], values[:, ::-1])
-        _note(scan, f"{'Qc' if phi > 0.8 else 'Q*'} at φ = {phi:g} from Z/γ̇", found, "")
+        _note(scan, f"{scan.transition(phi)} at φ = {phi:g} from Z/γ̇", found, "")
         axes.axvline(found.value, color="0.7", lw=0.8)
         axes.set(xlabel="$Q$", ylabel=r"$Z/\dot\gamma_1 - Z/\dot\gamma_2$", xscale="log", title=f"φ = {phi:g}")
     finish(scan.flows, figure, panels)
@@ -547,23 +552,21 @@ def phase_diagram_CD_rot(scan: Scan) -> Drawing:
     yield
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
-    _draw_transition(scan, axes, scan.located(shares), "Qc")
-    starred = {}
+    located = scan.located(shares)
+    for name, colour in (("Qc", "k"), ("Q*", "C1")):
+        some = {phi: Q for phi, Q in located.items() if scan.transition(phi) == name}
+        _draw_transition(scan, axes, some, name, colour)
     for phi in scan.details:
-        if phi not in scan.located(shares):
-            quantity = Quantity("", "", "contacts", lambda p: 1 / p.rate)
-            x, values = scan.differences("Q", [p for p in by_Q if p.phi == phi], quantity)
-            starred[phi] = onset(x[::-1], values[:, ::-1])
-    starred = {phi: Q for phi, Q in starred.items() if np.isfinite(Q.value)}
-    if starred:
-        phi, Q, error = np.array([(phi, *Q) for phi, Q in starred.items()]).T
-        axes.errorbar(phi, Q, np.nan_to_num(error), fmt="s", color="C1", label="Q*")
-    for phi, Q in starred.items():
-        scan.data.page.found(f"Q* at φ = {phi:g}", *Q, "")
+        quantity = Quantity("", "", "contacts", lambda p: 1 / p.rate)
+        x, values = scan.differences("Q", [p for p in by_Q if p.phi == phi], quantity)
+        found = onset(x[::-1], values[:, ::-1])
+        name = f"{scan.transition(phi)} from Z/γ̇ at two rates"
+        _note(scan, f"{name}, φ = {phi:g}", found, "")
+        axes.errorbar([phi], [found.value], [np.nan_to_num(found.error)], fmt="s", color="C0", label="Z/γ̇ at two rates")
     for Q in Qs:
         found = onset(*scan.differences("phi", [p for p in by_phi if p.Q == Q], B_P))
         _note(scan, f"φc at Q = {Q:g}", found, "0.80" if Q == 1 else "")
-        axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color="C2")
+        axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color="C2", label="φc")
     axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
     axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
     finish(scan.flows, figure, panels)
