@@ -71,7 +71,7 @@ figures: $(READY) ## every figure of both papers (medium), and its page in the d
 bench: $(READY) ## spectrum and direct solves compared with bare MUMPS and SciPy, as ratios (six minutes; DISKS=4096 for less)
 	mpi_runs/bench.sh
 
-bench-bounds: $(READY) ## factorisations, error bounds and true errors of spectra of 52 packings (five minutes)
+bench-bounds: $(READY) ## factorisations, error bounds and true errors of spectra of 52 packings, and AAA (seven minutes)
 	mpi_runs/error_bounds.sh
 
 bench-scaling: $(READY) ## strong and weak scaling of spectra on 1 and 2 ranks, with a figure (five minutes)

@@ -12,3 +12,4 @@ for what in "1024 1:8" "4096 1:5"; do
     mpirun -n 2 $python -m petscjam prepare --particles "$1" --pressure 1e-2:1e-5:4 --seeds "$2" --resume -o $library
 done
 mpirun -n 2 $python benchmarks/error_bounds.py $library
+$python benchmarks/rational.py
