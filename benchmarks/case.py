@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import petscjam as pj
+from petscjam.analysis.flows import mean
+from petscjam.analysis.statistics import standard_error
 from petscjam.base.compiled import build
 from petscjam.io.lammps_shear import write_lammps
 from petscjam.md.engine import DXX, DXY, DYY, EXX, EXY, EYY, KXX, KXY, KYY, TOUCHING
@@ -33,14 +35,11 @@ MEANS = {
 
 
 def means(run):
-    """Return the means of a run; times and rates of contacts are ratios of sums, so that rows weigh by contacts."""
-    late = run.after()
-    made, broken, duration = (run.rows[name][late].sum() for name in ("made", "broken", "duration"))
-    window = run.time[late][-1] - run.time[~late][-1]
+    """Return the means of a run."""
     found = {name: run.mean(what).value for name, what in MEANS.items()}
     found["Σ, dissipative, share"] = run.mean("dissipative_xy").value / run.mean("stress").value * -1
-    found["νcoll τe, contacts made per disk"] = made / CASE["n"] / window
-    found["τdur/τe"] = duration / broken
+    found["νcoll τe, contacts made per disk"] = mean(run, "collision_rate").value
+    found["τdur/τe"] = mean(run, "duration_time").value
     found["⟨θ̇⟩/γ̇"] = run.mean("spin").value / CASE["rate"]
     return found
 
@@ -64,7 +63,7 @@ def first_numbers(state, model):
         simulation = Simulation(state, model, CASE["dt"], integrator)
         for steps in (0, STEPS):
             advance(simulation, steps)
-            sums = simulation._now()
+            sums = simulation.now
             P, sigma, Z = stresses(sums, simulation.length * simulation.height)
             energy = " | ".join(f"{e:.9g}" for e in simulation.energy())
             lines.append(f"| {integrator}, {steps} steps | {P:.9g} | {sigma:.9g} | {Z:.8g} | {energy} |")
@@ -113,7 +112,7 @@ def main():
     ]
     for name in tables[CASE["dt"]]:
         values = [table[name] for table in tables.values()]
-        cells = (f"{v.mean():.5g} ± {v.std(ddof=1) / len(v) ** 0.5:.1g}" for v in values)
+        cells = (f"{v.mean():.5g} ± {standard_error(v):.1g}" for v in values)
         lines.append(f"| {name} | {' | '.join(cells)} |")
     lines += [
         "",

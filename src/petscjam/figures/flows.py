@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from petscjam.analysis.statistics import standard_error
+from petscjam.analysis.flows import falls, log_contacts, newtonian
 from petscjam.base.errors import InputError, SolverError
 from petscjam.figures.data import FigureData
 from petscjam.md import protocols
 from petscjam.md.grid import Point, run_grid
 from petscjam.md.recording import Steps
-from petscjam.md.result import Mean, Run, read
+from petscjam.md.result import Run, read
 from petscjam.md.runs import begin
 from petscjam.md.starts import Phases
 from petscjam.parallel.comm import on_root
@@ -185,6 +185,8 @@ class Flows:
         """Read the runs; return the points of those that have to go on to ``strain``."""
         left = []
         for point in points:
+            if point in self.runs and self._done(point, strain):
+                continue
             file = self.file(point)
             if file.exists():
                 self.runs[point] = read(file)
@@ -241,40 +243,6 @@ def _quiet(file: Path, run: Run) -> None:
     """Print nothing: a set has hundreds of runs."""
 
 
-def newtonian(run: Run, threshold: float) -> float:
-    """Return the share of the strain, without the first quarter, at which Z is above ``threshold``.
-
-    Parameters
-    ----------
-    run : Run
-    threshold : float
-        Mean contacts of a disk.
-    """
-    return float((run.contacts[run.after()] > threshold).mean())
-
-
-def falls(points: Sequence[Point], runs: dict[Point, Run], least: float = 3.0) -> tuple[float, float] | None:
-    """Return the two values of Q between which Z falls most; None if it falls by less than a factor ``least``.
-
-    Parameters
-    ----------
-    points : sequence of Point
-        At one packing fraction and strain rate, several seeds.
-    runs : dict
-        By point.
-    least : float
-    """
-    Qs = sorted({point.Q for point in points})
-    logs = np.array([np.mean([_log_contacts(runs[p]) for p in points if p.Q == Q]) for Q in Qs])
-    k = int(np.diff(logs).argmin())
-    return (Qs[k], Qs[k + 1]) if logs[k] - logs[k + 1] > np.log(least) else None
-
-
-def _log_contacts(run: Run) -> float:
-    """Return ln Z; a run without contacts counts as one with a contact in a hundredth of the time."""
-    return float(np.log(max(run.mean("contacts").value, 0.02 / run.settings.particles)))
-
-
 def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -> Search[dict[float, list[float]]]:
     """Search Qc at one packing fraction and strain rate: runs from both sides where the share is least known.
 
@@ -296,12 +264,13 @@ def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -
         The shares of Newtonian strain of each seed, by Q, ascending; empty if Z does not fall.
     """
     runs = yield points
-    ends = falls(points, runs)
+    at = {Q: [p for p in points if p.Q == Q] for Q in sorted({p.Q for p in points})}
+    level = {Q: log_contacts([runs[p] for p in some]) for Q, some in at.items()}
+    ends = falls(level)
     if ends is None:
         return {}
-    at = {Q: [p for p in points if p.Q == Q] for Q in ends}
     low, high = ends
-    level = {Q: np.mean([_log_contacts(runs[p]) for p in some]) for Q, some in at.items()}
+    at = {Q: at[Q] for Q in ends}
     threshold = float(np.exp((level[low] + level[high]) / 2))
     shares = {Q: [newtonian(runs[p], threshold) for p in some] for Q, some in at.items()}
     for _ in range(rounds):
@@ -312,53 +281,3 @@ def bisection(points: list[Point], rounds: int, file: Callable[[Point], Path]) -
         shares[Q] = np.reshape(each, (2, -1)).mean(0).tolist()
         low, high = (Q, high) if np.mean(shares[Q]) >= 0.5 else (low, Q)
     return dict(sorted(shares.items()))
-
-
-def mean(run: Run, what: str) -> Mean:
-    """Return a time mean and its error; τdur, νcoll and their product are ratios of sums over the rows.
-
-    Parameters
-    ----------
-    run : Run
-    what : str
-        A row or a property of the run, or ``duration_time`` (τdur/τe), ``collision_rate`` (νcoll τe) or
-        ``product`` (2 τdur νcoll, VOT eq. 25).
-    """
-    late = run.after()
-    made, broken, duration = (run.rows[name][late] for name in ("made", "broken", "duration"))
-    window = np.diff(run.time, prepend=run.settings.time0)[late]
-    disks = run.settings.particles
-    if what == "duration_time":
-        return _ratio(duration, broken)
-    if what == "collision_rate":
-        return _ratio(made, window * disks)
-    if what == "product":
-        time, rate = _ratio(duration, broken), _ratio(made, window * disks)
-        value = 2 * time.value * rate.value
-        return Mean(value, value * float(np.hypot(time.error / time.value, rate.error / rate.value)))
-    return run.mean(what)
-
-
-def _ratio(above: Any, below: Any) -> Mean:
-    """Return Σ above / Σ below and its jackknife error over ten blocks of rows."""
-    count = min(10, len(above))
-    parts = [np.array([some.sum() for some in np.array_split(values, count)]) for values in (above, below)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        whole = parts[0].sum() / parts[1].sum()
-        left = (parts[0].sum() - parts[0]) / (parts[1].sum() - parts[1])
-    return Mean(float(whole), float(np.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())))
-
-
-def over_seeds(runs: Sequence[Run], what: str) -> Mean:
-    """Return the mean over seeds of :func:`mean` and its error: over seeds, or that of a single run.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-    what : str
-    """
-    found = [mean(run, what) for run in runs]
-    values = np.array([one.value for one in found])
-    if len(values) == 1:
-        return found[0]
-    return Mean(float(values.mean()), float(standard_error(values)))

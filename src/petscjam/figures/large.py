@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from petscjam.analysis.coexistence import Boundaries, end_point, jumps, kinks, switches
+from petscjam.analysis.flows import over_seeds
 from petscjam.analysis.transitions import Located
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.figures.data import FigureData
-from petscjam.figures.flows import Banded, Flows, over_seeds
+from petscjam.figures.flows import Banded, Flows
 from petscjam.md.banding import Bands, bands
 from petscjam.md.grid import Point, grid
 from petscjam.md.result import Run
@@ -202,7 +203,7 @@ class Large:
         key : str
             ``phi`` or ``rate``: x.
         what : str
-            As for :func:`petscjam.figures.flows.mean`.
+            As for :func:`petscjam.analysis.flows.mean`.
         """
         x = sorted({getattr(p, key) for p in points})
         rows = [sorted((p for p in points if getattr(p, key) == one), key=lambda p: p.seed) for one in x]

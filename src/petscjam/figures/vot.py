@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from petscjam.analysis.flows import mean, over_seeds
 from petscjam.analysis.statistics import standard_error
 from petscjam.analysis.transitions import JAMMING, Located, crossing, divergence, midpoint, onset
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.figures.data import FigureData
-from petscjam.figures.flows import Drawing, Flows, Search, bisection, mean, over_seeds
+from petscjam.figures.flows import Drawing, Flows, Search, bisection
 from petscjam.md.engine import BINS
 from petscjam.md.grid import Point, grid
 from petscjam.md.result import Mean, Run
@@ -40,7 +41,7 @@ class Quantity:
     Attributes
     ----------
     symbol, name, what : str
-        ``what`` as for :func:`petscjam.figures.flows.mean`.
+        ``what`` as for :func:`petscjam.analysis.flows.mean`.
     factor : callable
         Of a point: the mean is multiplied by it.
     """

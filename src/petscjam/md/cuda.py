@@ -39,7 +39,7 @@ from petscjam.md.model import Model
 from petscjam.md.neighbours import order_in_space, wrap
 from petscjam.md.recording import Steps
 from petscjam.md.result import Run
-from petscjam.md.simulation import BALANCE, SKINS, Simulation, masses_of, saved_state, widest_skin
+from petscjam.md.simulation import BALANCE, SKINS, Simulation, masses_of, saved_engine, saved_state, widest_skin
 from petscjam.md.state import State
 
 simulated: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
@@ -363,18 +363,10 @@ class CudaSimulation:
         if self.error is not None:
             raise self.error
         self.divided = self.parts
-        saved = {
-            "q": self.seen.q,
-            "radii": self.R,
-            "masses": self.m,
-            "tag": self.tag,
-            "contacts": np.column_stack([self.tag[contacts[:, :2]], contacts[:, 2]]),
-            "numbers": np.array([self.length, self.strain, self.rate, self.time, self.skin]),
-            "height": np.array([self.height]),
-            "counts": np.array([self.steps, self.rebuilds]),
-            "start": self.start,
-        }
-        return saved if self.turned is None else saved | {"angles": self.turned}
+        places = np.column_stack([self.tag[contacts[:, :2]], contacts[:, 2]])
+        angles = {} if self.turned is None else {"angles": self.turned}
+        arrays = {"q": self.seen.q, "radii": self.R, "masses": self.m, "contacts": places, "start": self.start}
+        return saved_engine(self, **arrays, **angles)
 
     @classmethod
     def restored(

@@ -121,6 +121,13 @@ class Engine(Protocol):
     def collect(self) -> Totals:
         """Return the sums over the steps since the last call, and set them to zero."""
 
+    @property
+    def now(self) -> Array:
+        """Sums of the current state, (SUMS,), as :meth:`collect` adds them; JUMPS is 0.
+
+        Contacts that were made or broken in the last step are counted.
+        """
+
     def sample(self, layers: Array, moments: Array, scatter: Array) -> Array:
         """Add observables of disks and contacts of the current state.
 

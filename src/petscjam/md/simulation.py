@@ -108,7 +108,7 @@ class Simulation:
         self._measured = Measured(np.zeros((rows, SUMS)), counts, angles, np.zeros(SUMS))
         self._build(np.empty((0, 3), np.int64))
         self._divided, self.most = self.parts, 1
-        self._start = self._now()
+        self._start = self.now
         self._forget_events()  # contacts of the initial state do not count as made
 
     def __len__(self) -> int:
@@ -241,8 +241,9 @@ class Simulation:
     def _moment(self) -> Moment:
         return Moment(self.strain, self.rate, self.steps * TICKS)
 
-    def _now(self) -> Array:
-        """Return the sums of the current state, and record contacts that were made or broken in the last step."""
+    @property
+    def now(self) -> Array:
+        """Sums of the current state; contacts that were made or broken in the last step are counted."""
         d, now, sums = self._disks, np.zeros(SUMS), self._measured.sums
         d.F[:] = 0.0
         kernels.forces(d.q, d, self._pairs, self._law, self._moment, self._threads, True, self._measured)
@@ -275,7 +276,7 @@ class Simulation:
 
     def _closed(self) -> tuple[Array, Array]:
         """Return the sums by the trapezoidal rule, and the sums of the current state."""
-        end = self._now()
+        end = self.now
         half = 0.5 * (end - self._start) * (1 if self.integrator == "heun" else -1) / self._divided
         half[[TOUCHING, JUMPS]] = 0.0
         return self._measured.total + half, end
@@ -314,19 +315,9 @@ class Simulation:
         """
         self.rebuild()
         self._divided = self.parts
-        d = self._disks
-        saved = {
-            "q": d.q.copy(),
-            "radii": d.R.copy(),
-            "masses": d.m.copy(),
-            "tag": self.tag.copy(),
-            "contacts": open_contacts(self._pairs, self.tag),
-            "numbers": np.array([self.length, self.strain, self.rate, self.time, self.skin]),
-            "height": np.array([self.height]),
-            "counts": np.array([self.steps, self.rebuilds]),
-            "start": self._start.copy(),
-        }
-        return saved | {"angles": d.angle.copy()} if len(d.angle) else saved
+        d, contacts = self._disks, open_contacts(self._pairs, self.tag)
+        angles = {"angles": d.angle} if len(d.angle) else {}
+        return saved_engine(self, q=d.q, radii=d.R, masses=d.m, contacts=contacts, start=self._start, **angles)
 
     @classmethod
     def restored(
@@ -392,6 +383,24 @@ def widest_skin(state: State) -> float:
         cell = f"{state.length:.3g} x {state.height:.3g}"
         raise InputError(f"shear: a cell of {cell} is too small for disks of these sizes")
     return widest
+
+
+def saved_engine(engine: Any, **arrays: NDArray[Any]) -> dict[str, Any]:
+    """Return the checkpoint of an engine, with copies of its arrays.
+
+    Parameters
+    ----------
+    engine : Simulation or CudaSimulation
+    **arrays
+        What each engine keeps in its own way: q, radii, masses, contacts, start, and angles if they are kept.
+    """
+    own = {
+        "tag": engine.tag,
+        "numbers": [engine.length, engine.strain, engine.rate, engine.time, engine.skin],
+        "height": [engine.height],
+        "counts": [engine.steps, engine.rebuilds],
+    }
+    return {name: np.array(values) for name, values in (own | arrays).items()}
 
 
 def saved_state(saved: Mapping[str, Any], model: Model) -> State:
