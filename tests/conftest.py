@@ -13,6 +13,7 @@ from hypothesis import settings
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "1")  # kernels for GPUs run as Python threads; 0: on a GPU
 START = dict(os.environ)
+sys.setswitchinterval(1e-5)  # these threads take turns more often
 MPI_ENV = Path(__file__).parents[1] / "tools" / "mpi-env.sh"
 
 # derandomize: every rank must try the same examples. deadline: compiling and MPI take as long as they take.
@@ -88,6 +89,20 @@ def comm():
     from mpi4py import MPI
 
     return MPI.COMM_WORLD
+
+
+@pytest.fixture(params=["cpu", "cuda"])
+def engine(request):
+    """Name of an engine of sheared disks: tests are the same for each (:func:`helpers.any_engine` for more cases)."""
+    return request.param
+
+
+@pytest.fixture
+def kind(engine):
+    """Class of this engine."""
+    from petscjam.md.runs import engine_of
+
+    return engine_of(engine)
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ import pytest
 
 import petscjam as pj
 from petscjam.cli import main
+from petscjam.md.runs import ENGINES
 from petscjam.reference import linear as reference
 from petscjam.rows.kinematics import STRAINS
 
@@ -29,6 +30,25 @@ EVERY_LAW = [
 any_law = pytest.mark.parametrize("law", EVERY_LAW, ids=str)
 any_prestress = pytest.mark.parametrize("prestress", [True, False])
 any_strain = pytest.mark.parametrize("strain", STRAINS)
+
+
+def any_engine(names, cases, few=lambda *case: True):
+    """Parametrise over engines and cases; those for a GPU are slow but for a few: its simulator is slow.
+
+    Parameters
+    ----------
+    names : str
+        Of the arguments, separated by commas.
+    cases : iterable of tuples
+    few : callable
+        Of a case.
+    """
+    found = [
+        pytest.param(engine, *case, marks=[pytest.mark.slow] * (engine != "cpu" and not few(*case)))
+        for case in cases
+        for engine in ENGINES
+    ]
+    return pytest.mark.parametrize(f"engine, {names}", found)
 
 
 # ---- packings; the same object for the same arguments, so that models of them can be kept

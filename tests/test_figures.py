@@ -323,6 +323,16 @@ def test_a_figure_stopped_and_resumed_has_the_same_numbers(made, shared, tmp_pat
     assert (tmp_path / "vot31.csv").read_bytes() == (shared / "vot31.csv").read_bytes()
 
 
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_figure_reads_each_of_its_runs_once(made, shared, monkeypatch, existing):
+    """A search and the panels ask for the same runs."""
+    made("vot17")
+    files = []
+    monkeypatch.setattr("petscjam.figures.flows.read", lambda file: files.append(file) or pj.md.read(file))
+    make("vot17", shared, resume=True, existing=existing)
+    assert files and len(files) == len(set(files))
+
+
 # --- large systems, with bands that nobody computed
 
 

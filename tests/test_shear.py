@@ -1,14 +1,20 @@
-"""The driver of sheared disks: restarts, protocols, starts, errors, grids, and the verbs."""
+"""The driver of sheared disks: restarts, protocols, starts, errors, grids, and the verbs.
+
+The driver is one for all engines: here are tests for each of them where the numbers of an engine must pass through it.
+Long runs, threads, signals and processes are tested with the engine for the CPU alone; ``test_cuda.py`` stops,
+continues and batches short runs of the engine for a GPU.
+"""
 
 import signal
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 
 import h5py
 import numpy as np
 import pytest
-from helpers import jammed, names
+from helpers import any_engine, jammed, names
 
 import petscjam as pj
 from petscjam.base.errors import DoubtfulWarning, InputError
@@ -18,7 +24,7 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.potential import POTENTIALS, Potential, power_law
 from petscjam.md import protocols
 from petscjam.md.grid import grid, run_grid
-from petscjam.md.model import Model
+from petscjam.md.model import INTEGRATORS, Model
 from petscjam.md.result import blocked_error, export_csv, read_folder
 from petscjam.md.runs import begin, run
 from petscjam.md.simulation import Simulation
@@ -75,13 +81,14 @@ def test_a_run_stopped_and_resumed_is_the_undisturbed_one(tmp_path, integrator, 
     assert (undisturbed.rows["parts"].max() > 1) == (dt is not None)
 
 
-def test_any_cell_survives_the_file_and_a_stop(tmp_path):
+def test_any_cell_survives_the_file_and_a_stop(tmp_path, engine):
     """A file or a checkpoint of older versions has no height: its cell is a square."""
-    file, square = tmp_path / "run.h5", random_state(36, 0.82, 3)
+    n, rate = (36, 1e-2) if engine == "cpu" else (16, 0.2)
+    file, square = tmp_path / "run.h5", random_state(n, 0.82, 3)
     for height in (square.length, 0.7 * square.length):
         start = replace(square, length=square.area / height, height=height, strain=0.4)
         start = replace(start, positions=square.positions * [start.length / square.length, height / square.height])
-        given = {"model": "CD_rot", "rate": 1e-2, "strain": 0.6, "start": start, "overwrite": True}
+        given = {"model": "CD_rot", "rate": rate, "strain": 0.6, "start": start, "overwrite": True, "engine": engine}
         undisturbed = pj.md.shear(**given)
         with pytest.raises(StoppedError):
             pj.md.shear(**given, output=file, progress=stop_at(0.45))
@@ -180,10 +187,11 @@ def test_the_command_prolongs_a_run(tmp_path, capsys, verb, short, longer, setti
     assert {name: np.array(after.settings.attributes[name]).tolist() for name in settings} == settings
 
 
-def test_disks_that_never_meet_dissipate_nothing():
+def test_disks_that_never_meet_dissipate_nothing(engine):
     """No heat, and no share of it that the budget misses; the progress says so, too."""
     texts = []
-    alone = pj.md.shear("CD", 16, 1e-4, rate=1e-2, strain=0.05, progress=lambda fraction, text: texts.append(text))
+    given = {"rate": 1e-2, "strain": 0.025, "engine": engine}
+    alone = pj.md.shear("CD", 16, 1e-4, **given, progress=lambda fraction, text: texts.append(text))
     assert alone.rows["heat"].sum() == 0
     assert alone.missed == 0
     assert texts and "budget" not in texts[-1]
@@ -714,14 +722,13 @@ def test_a_model_survives_the_file(tmp_path):
     assert made.settings.model == Model(law, 2.0, stokes_drag=0.1)
 
 
-@pytest.mark.parametrize("integrator", ["heun", "single"])
-@pytest.mark.parametrize("model", ["CD_rot", "CD_n"])
-def test_a_mass_of_four_is_a_unit_of_time_of_two(tmp_path, model, integrator):
+@any_engine("model, integrator", product(["CD_rot", "CD_n"], INTEGRATORS), lambda *case: case == ("CD_rot", "single"))
+def test_a_mass_of_four_is_a_unit_of_time_of_two(tmp_path, engine, model, integrator):
     """With kd, both drags and the rate in that unit, bit for bit; with the default time step, too."""
-    file = tmp_path / "run.h5"
-    given = {"model": model, "n": 36, "phi": 0.84, "strain": 0.3, "integrator": integrator}
-    heavy = {"Q": 0.7, "rate": 1e-2, "mass": 4.0, "stokes_drag": 0.1, "rotational_drag": 0.02, "output": file}
-    light = {"Q": 1.4, "rate": 2e-2, "stokes_drag": 0.05, "rotational_drag": 0.01}
+    file, (n, rate) = tmp_path / "run.h5", (36, 1e-2) if engine == "cpu" else (16, 5e-2)
+    given = {"model": model, "n": n, "phi": 0.84, "strain": 0.3, "integrator": integrator, "engine": engine}
+    heavy = {"Q": 0.7, "rate": rate, "mass": 4.0, "stokes_drag": 0.1, "rotational_drag": 0.02, "output": file}
+    light = {"Q": 1.4, "rate": 2 * rate, "stokes_drag": 0.05, "rotational_drag": 0.01}
     with pytest.raises(StoppedError):
         pj.md.shear(**given, **heavy, progress=stop_at(0.5))
     one, two = pj.md.shear(**given, **heavy, resume=True), pj.md.shear(**given, **light)

@@ -185,7 +185,7 @@ class Flows:
         """Read the runs; return the points of those that have to go on to ``strain``."""
         left = []
         for point in points:
-            if point in self.runs and self._done(point, strain):
+            if point in self.runs and (self.data.existing or self._done(point, strain)):
                 continue
             file = self.file(point)
             if file.exists():

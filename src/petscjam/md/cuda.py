@@ -114,6 +114,7 @@ class CudaSimulation:
         self.settled = self.ahead = False
         self.batch: Batch | None = None
         self.seen: Seen | None = None
+        self.counted: Seen | None = None  # its contacts are those before the ones of the last step were counted
         self.saved: Saved | None = None
         self.error: Exception | None = None
         self.place = self.gather = 0
@@ -265,9 +266,15 @@ class CudaSimulation:
     @property
     def now(self) -> Array:
         """Sums of the current state; contacts that were made or broken in the last step are counted."""
+        batch = self.at_home()
+        if not self.settled:
+            batch.settle([self])
+        if self.error is not None:
+            raise self.error
         if self.seen is None or not self.seen.closing:
-            self.at_home().see([self], [self])
+            batch.see([self], [self])
         assert self.seen is not None
+        self.counted = self.seen
         return self.seen.sums[:SUMS]
 
     def closed(self) -> tuple[Array, Array]:
@@ -320,6 +327,8 @@ class CudaSimulation:
         (SAMPLED,)
             Sums.
         """
+        if self.seen is self.counted:
+            self.seen = None
         sums, seen = np.zeros(SAMPLED), self.look
         kernels.sample_disks(seen.q, self.R, self.m, self.height, self.rate, layers, sums)
         y = seen.q[:, 1] / self.height

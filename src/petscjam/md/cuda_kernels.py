@@ -375,7 +375,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             if c < found:
                 bits |= 1 << c
                 lists.since[c * n + a] = runs.began[k, run, a]
-            elif found < PLACES:
+            elif found < PLACES and runs.state[run, 0] != CROWDED:
                 runs.state[run, 0] = LOST
         lists.count[a], lists.bits[a], runs.z[run, a] = found, bits, z
 

@@ -123,7 +123,7 @@ class Engine(Protocol):
 
     @property
     def now(self) -> Array:
-        """Sums of the current state, (SUMS,), as :meth:`collect` adds them; JUMPS is 0.
+        """Sums of the current state, (SUMS,), as :meth:`collect` adds them, but without a fluid's viscosity and JUMPS.
 
         Contacts that were made or broken in the last step are counted.
         """
