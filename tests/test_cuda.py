@@ -195,14 +195,14 @@ def test_a_grid_gives_the_runs_that_each_point_gives_alone(comm, tmp_path, monke
     points = grid(["CD_rot"], [16, 18], [0.7, 0.84, 1.5], [1.0], [0.1], [1])
 
     def work(rate, **settings):
-        return begin(protocols.steady(rate, 0.2), dt=0.1, engine="cuda", **settings)
+        return begin(protocols.steady(rate, 0.1), dt=0.1, engine="cuda", **settings)
 
     made, failures = run_grid(points, folder, work, comm=comm, engine="cuda", log=lambda file, _: files.append(file))
     assert (made, len(files)) == (4, 4)
     assert [failure.split(":")[0] for failure in failures] == [p.name for p in points if p.phi == 1.5]
     for file in files:
         settings = pj.md.read(file).settings
-        alone = pj.md.shear("CD_rot", settings.particles, settings.phi, rate=0.1, strain=0.2, dt=0.1, engine="cuda")
+        alone = pj.md.shear("CD_rot", settings.particles, settings.phi, rate=0.1, strain=0.1, dt=0.1, engine="cuda")
         assert same(pj.md.read(file), alone) == []
 
 

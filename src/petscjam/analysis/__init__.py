@@ -1,1 +1,1 @@
-"""Analyses of the response: non-affine motion, correlations, densities, scaling, nonlinear drag."""
+"""Analyses of the response and of flows: non-affine motion, correlations, densities, scaling, nonlinear drag."""

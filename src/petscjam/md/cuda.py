@@ -275,7 +275,7 @@ class CudaSimulation:
             batch.see([self], [self])
         assert self.seen is not None
         self.counted = self.seen
-        return self.seen.sums[:SUMS]
+        return self.seen.sums[:SUMS].copy()
 
     def closed(self) -> tuple[Array, Array]:
         """Return the sums by the trapezoidal rule, and the sums of the current state."""
