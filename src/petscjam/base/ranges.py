@@ -68,6 +68,7 @@ INDEX = Range(0, 1e9, whole=True)
 # Response: the squares of the lowest and of the highest frequency are finite and above 0
 OMEGA = Range(1e-100, 1e100)
 TIME = Range(0, 1e100)
+INERTIA = Range(1e-50, 1e50)  # masses, in units of k τ1²
 FRICTION = Range(0, 1e9)  # every number that a damping law takes
 COMPRESSION = Range(0, 0.1)
 MODES = Range(1, 1e6, whole=True)

@@ -139,8 +139,8 @@ class Dofs:
         return field
 
 
-def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> Mask:
-    """Return the (N, 3) degrees of freedom to solve for: those that K or B resists, without the fixed ones.
+def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> tuple[Mask, Mask]:
+    """Return the (N, 3) degrees of freedom that K or B resists, and those of them that are not fixed.
 
     B is positive semi-definite, so a zero on its diagonal is a zero row (θ without rotations or at β = 0,
     rattlers without contacts). A collective motion that neither K nor B resists makes K + iωB singular, and one
@@ -153,12 +153,12 @@ def unknowns(K: Form, B: Form, network: ContactNetwork, comm: Comm) -> Mask:
     comm : MPI communicator
     """
     stiffness, friction = total(comm, K.diagonal()), total(comm, B.diagonal())
-    active = (stiffness > 0) | (friction > 0)
-    anchor = int(np.argmax(network.backbone))
+    resisted = (stiffness > 0) | (friction > 0)
+    active, anchor = resisted.copy(), int(np.argmax(network.backbone))
     for motion in free_motions(network):
         if not resists(B, motion * active, comm):
             active[anchor, np.argmax(np.abs(motion[anchor]))] = False
-    return active
+    return resisted, active
 
 
 def free_motions(network: ContactNetwork) -> list[Array]:

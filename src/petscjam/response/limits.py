@@ -1,7 +1,7 @@
 """The exact limits of the response, by direct solves.
 
 ω → 0: u minimises the energy on the backbone; the motions without energy (θ, a rattler, the mean translation)
-then minimise the dissipation. ω → ∞: u minimises the dissipation.
+then minimise the dissipation. ω → ∞: u minimises the dissipation or, with inertia, is zero.
 """
 
 from __future__ import annotations
@@ -102,13 +102,19 @@ def zero_frequency(problem: LinearProblem) -> Limit:
 def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> Limit:
     """Return G∞, η∞: from the Schur complement of B, not B_γγ.
 
+    With inertia the motion is affine in the limit: η∞V = B_γγ and G∞V = K_γγ − B_γu M⁻¹B_uγ.
+
     Parameters
     ----------
     problem : LinearProblem
     pencil : Pencil
-        K and B on the active unknowns.
+        K and B, and M with inertia, on the unknowns.
     solver : DirectSolver
     """
+    if problem.inertia:
+        b, masses = pencil.b[:, 0], pencil.matrices[2].getDiagonal().array
+        stored = total(problem.comm, float(np.sum(b**2 / masses.real)))
+        return _limit(problem, problem.affine[0] - stored, problem.affine[1], 0.0)
     solver.factor(pencil.combine(0, 1))
     x, residual = solver.solve(-pencil.b[:, 0], "B is singular (motions without friction)")
     if _singular(problem, pencil, solver):

@@ -110,7 +110,7 @@ def assembled(K: Form, B: Form, dofs: Dofs, comm: Comm, *further: Form) -> Itera
 def solving(
     problem: LinearProblem, progress: Report | None = None, *further: Form, **solver_options: Any
 ) -> Iterator[tuple[Pencil, DirectSolver]]:
-    """Yield K, B and ``further`` forms on the active unknowns of ``problem``, and a solver for their combinations.
+    """Yield K, B, M if there is inertia, and ``further`` forms, and a solver for their combinations.
 
     Parameters
     ----------
@@ -127,13 +127,13 @@ def solving(
     InputError
         If the factor needs more memory than is free.
     """
-    comm, dofs = problem.comm, problem.number(problem.active)
+    comm, dofs = problem.comm, problem.number(problem.moving)
     needs = check_memory(comm, dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
     if progress:
         progress(0.0, needs)
     with (
-        assembled(problem.K, problem.B, dofs, comm, *further) as pencil,
-        direct_solver(comm, "petscjam_", definite=problem.definite, **solver_options) as solver,
+        assembled(problem.K, problem.B, dofs, comm, *problem.inertia, *further) as pencil,
+        direct_solver(comm, "petscjam_", definite=problem.definite and not problem.inertia, **solver_options) as solver,
     ):
         yield pencil, solver
 

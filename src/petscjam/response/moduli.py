@@ -34,16 +34,20 @@ def complex_modulus(
     strain: str = "simple-shear",
     prestress: bool = True,
     comm: Comm | None = None,
+    mass: ArrayLike | None = None,
     fields_at: ArrayLike = (),
     name: str = "packing",
     progress: Report | None = None,
 ) -> ComplexModulus:
-    """Solve (K + iωB)q = f at each frequency (BT eqs. 10–13) and for both limits.
+    """Solve (K + iωB)q = f at each frequency (BT eqs. 10–13) and for both limits; with inertia (K + iωB − ω²M)q = f.
 
     Parameters
     ----------
     omegas : (W,) array_like
         Angular frequencies in 1/τ1, all > 0.
+    mass : float or (N,) array_like
+        Of every disk, or of each one, in units of k τ1²; their moments of inertia are mass ρ²/2 (docs/theory.md,
+        Inertia). Default: no inertia.
     fields_at : array_like
         Frequencies of ``omegas`` at which displacements are stored.
     packing, damping, strain, prestress, comm, name, progress
@@ -52,17 +56,17 @@ def complex_modulus(
     Raises
     ------
     InputError
-        On a frequency that is not > 0, an unknown strain, a packing without a connected backbone.
+        On a frequency or a mass that is not > 0, an unknown strain, a packing without a connected backbone.
     SolverError
         If a solve fails or its residual is not small.
     """
     comm = resolve(comm)
-    agree(comm, packing, omegas, fields_at, damping, strain, prestress)
+    agree(comm, packing, omegas, fields_at, damping, strain, prestress, mass)
     omega = frequencies(omegas)
     kept = frequencies(fields_at, empty=True)
     if not np.isin(kept, omega).all():
         raise InputError(f"fields: {kept[~np.isin(kept, omega)].tolist()} are not frequencies of the sweep")
-    problem = LinearProblem(packing, law_or_default(damping), [strain_mode(strain)], prestress, comm)
+    problem = LinearProblem(packing, law_or_default(damping), [strain_mode(strain)], prestress, comm, mass=mass)
     values = np.empty(len(omega), dtype=complex)
     residuals, balance = np.empty(len(omega)), np.empty(len(omega))
     fields = np.empty((len(kept), len(packing), 2), dtype=complex)
@@ -96,6 +100,7 @@ def complex_modulus(
         negative_modes=problem.negative_modes,
         zero_modes=problem.zero_modes,
         origin=describe(problem, name, strain, problem.law),
+        mass=problem.masses,
         notes=tuple(problem.notes),
         field_omega=kept,
         fields=fields,
@@ -141,7 +146,7 @@ def elastic_constants(packing: Packing, *, prestress: bool = True, comm: Comm | 
 
 def _solve(problem: LinearProblem, pencil: Pencil, solver: DirectSolver, omega: float) -> tuple[Field, float, complex]:
     """Return q, its residual, and A_γu·q."""
-    solver.factor(pencil.combine(1, 1j * omega))
+    solver.factor(pencil.combine(*problem.coefficients(omega)))
     forcing = (pencil.k + 1j * omega * pencil.b)[:, 0]
     x, residual = solver.solve(-forcing)
     return pencil.dofs.gather(x, problem.comm), residual, problem.comm.allreduce(complex(forcing @ x))
@@ -152,6 +157,8 @@ def _moduli(problem: LinearProblem, q: Field, omega: float, coupling: complex) -
     motion = (q, [1.0])
     K = problem.product(problem.K, motion, motion).real
     B = problem.product(problem.B, motion, motion).real
+    for M in problem.inertia:
+        K -= omega**2 * problem.product(M, motion, motion).real
     energy = K + 1j * omega * B
     schur = problem.affine[0] + 1j * omega * problem.affine[1] + coupling
     return problem.modulus(energy), abs(schur - energy) / (abs(energy) or 1.0)

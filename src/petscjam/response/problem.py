@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from petscjam.base.errors import SolverError
 from petscjam.base.types import Array, Integers
@@ -19,13 +20,14 @@ from petscjam.preparation.certify import count_modes, dependent_rows
 from petscjam.response.dofs import Dofs, Ownership, unknowns
 from petscjam.response.origin import Origin
 from petscjam.rows.damping import ContactDamping, DampingLaw, viscous_form
+from petscjam.rows.inertia import inertia_form, masses_of
 from petscjam.rows.kinematics import SIMPLE_SHEAR, Field, Form, Mask, Motion, StrainMode, displacements, elastic_form
 
 NOT_BALANCED = "not in balance: net forces on disks reach {:.2g} p·d; petscjam import --relax balances them"
 
 
 class LinearProblem:
-    """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13).
+    """(K + iωB) Q = G*V e_γ for one packing, law and choice of pre-stress (BT eqs. 10–13); −ω²M with inertia.
 
     Rattlers are removed, unless the law acts on each disk.
 
@@ -39,13 +41,20 @@ class LinearProblem:
     comm : MPI communicator
     fluid : bool
         Whether B has the viscosity of the fluid.
+    mass : float or (N,), optional
+        Of the disks, in units of k τ1². Default: no inertia.
 
     Attributes
     ----------
     K, B : Form
         Of all contacts; K_backbone and B_backbone without those of rattlers.
+    inertia : tuple of Form
+        M, or none without inertia.
+    masses : (N,) or None
     active : (N, 3) bool
-        The unknown degrees of freedom.
+        The unknown degrees of freedom without inertia.
+    moving : (N, 3) bool
+        Those with it: inertia resists every motion, so none is fixed.
     affine : (float, float)
         K_γγ and B_γγ of the first strain mode.
     notes : list of str
@@ -66,6 +75,7 @@ class LinearProblem:
         comm: Comm,
         *,
         fluid: bool = True,
+        mass: ArrayLike | None = None,
     ) -> None:
         self.packing, self.law, self.strains, self.comm = packing, law, tuple(strains), comm
         self.prestress = prestress
@@ -86,9 +96,15 @@ class LinearProblem:
 
         self.K, self.B = forms(self.network)
         self.K_backbone, self.B_backbone = forms(self.backbone) if law.body else (self.K, self.B)
-        self.active: Mask = unknowns(self.K, self.B, self.network, comm)
+        resisted, self.active = unknowns(self.K, self.B, self.network, comm)
         if not (prestress or law.body) and self.zero_modes:
             self.active &= ~self._unresisted()
+        self.masses = None if mass is None else masses_of(mass, len(packing))
+        self.inertia: tuple[Form, ...] = ()
+        self.moving: Mask = self.active
+        if self.masses is not None:
+            self.inertia = (inertia_form(self.masses, packing.radii, packing.mean_diameter, my_disks, strains),)
+            self.moving = resisted
         self.pinned_backbone = displacements(self.backbone.backbone)
         self.pinned_backbone[np.argmax(self.backbone.backbone)] = False
         rigid: Motion = (np.zeros((len(packing), 3), dtype=complex), np.eye(len(strains))[0])
@@ -108,6 +124,10 @@ class LinearProblem:
             Default: simple shear.
         """
         return cls(packing, ContactDamping(), strains or (SIMPLE_SHEAR,), prestress, comm)
+
+    def coefficients(self, omega: float) -> tuple[complex, ...]:
+        """Return those of K, B and, with inertia, M in K + iωB − ω²M."""
+        return (1, 1j * omega, -(omega**2))[: 2 + len(self.inertia)]
 
     @property
     def rate(self) -> float:
@@ -192,7 +212,7 @@ class LinearProblem:
         u = q[:, :2].copy()
         backbone = self.backbone.backbone
         if not self.law.body:
-            u -= u[backbone].mean(0)
+            u -= np.average(u[backbone], axis=0, weights=None if self.masses is None else self.masses[backbone])
             u[~backbone] = np.nan
         return u
 

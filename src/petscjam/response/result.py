@@ -26,11 +26,11 @@ class ComplexModulus(Judged):
     omega : (W,)
         Angular frequencies, 1/τ1.
     values : (W,) complex
-        Per unit strain: G′ = Q†KQ/V and G″ = ωQ†BQ/V, or the same of the reduced model.
+        Per unit strain: G′ = Q†(K − ω²M)Q/V and G″ = ωQ†BQ/V, or the same of the reduced model; M = 0 without inertia.
     residuals : (W,)
-        ‖(K + iωB)q − f‖/‖f‖ of each solve, or of the model's q: the error of G* is quadratic in it.
+        ‖(K + iωB − ω²M)q − f‖/‖f‖ of each solve, or of the model's q: the error of G* is quadratic in it.
     power_balance : (W,)
-        |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V|: zero for an exact solution.
+        |A_γγ + A_γu·q − Q†(K − ω²M)Q − iωQ†BQ| / |G*V|: zero for an exact solution.
     errors : (W,)
         Bound on |ΔG*|/|G*|; NaN for direct solves.
     part_errors : (2, W)
@@ -45,13 +45,15 @@ class ComplexModulus(Judged):
         Frequencies at which displacements are stored.
     fields : (F, N, 2) complex
         Non-affine displacement per unit strain; NaN for rattlers that were removed. If the law does not resist a
-        translation, the mean over the backbone is zero.
+        translation, the mean over the backbone, weighted by the masses, is zero.
     geometry : Packing or None
         The packing, stored with the fields.
     performance : dict
         Factorisations, MUMPS and peak memory (MB) of each rank.
     model : Spectrum or None
         The reduced model of the values; None for direct solves.
+    mass : (D,) or None
+        Mass of each disk, k τ1²; None without inertia.
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
@@ -72,9 +74,18 @@ class ComplexModulus(Judged):
     geometry: Packing | None = None
     performance: dict[str, Any] = field(default_factory=dict)
     model: Spectrum | None = None
+    mass: Array | None = field(default=None, metadata=stored("stress*tau1**2", "D", finite=True))
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
     figure: ClassVar[str] = "petscjam.plots.modulus:moduli_figure"
     exports: ClassVar[str] = "petscjam.io.rheology:export_rheology"
+
+    @property
+    def inertia(self) -> str:
+        """The masses as text; empty without inertia."""
+        if self.mass is None:
+            return ""
+        low, high = self.mass.min(), self.mass.max()
+        return f"mass {low:g}" if low == high else f"masses from {low:g} to {high:g}"
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
