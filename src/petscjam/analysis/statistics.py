@@ -91,7 +91,7 @@ def by_pressure(results: Iterable[R], **same: Any) -> dict[float, list[R]]:
 
 
 class Kind(NamedTuple):
-    """The common properties of averaged results; law and grid are empty for results without them."""
+    """The common properties of averaged results; law, with the masses, and grid are empty for results without them."""
 
     law: str
     prestress: bool
@@ -105,7 +105,8 @@ def alike(results: Mapping[str, R]) -> dict[Kind, dict[str, R]]:
     groups: dict[Kind, dict[str, R]] = {}
     for name, r in results.items():
         law, grid = r.origin.damping, getattr(r, "omega", ())
-        kind = Kind(str(law or ""), r.prestress, r.origin.particles, nominal(r.origin.pressure), tuple(grid))
+        said = ", ".join(filter(None, [str(law or ""), getattr(r, "inertia", "")]))
+        kind = Kind(said, r.prestress, r.origin.particles, nominal(r.origin.pressure), tuple(grid))
         groups.setdefault(kind, {})[name] = r
     return groups
 
@@ -167,8 +168,8 @@ def average(
         name, other = next(iter(results.items()), ("", None))
         reason = f"; {name}: {other.state}" if other else ""
         raise InputError(f"average: none of {len(results)} packings is stable{reason}")
-    if len({(g.damping, g.strain, g.prestress, g.origin.potential) for g in kept.values()}) > 1:
-        raise InputError("average: the results have different laws, strains, pre-stress or potentials")
+    if len({(g.damping, g.strain, g.prestress, g.origin.potential, g.inertia) for g in kept.values()}) > 1:
+        raise InputError("average: the results have different laws, strains, pre-stress, potentials or masses")
     first = next(iter(kept.values()))
     omega = first.omega if omegas is None else frequencies(omegas)
     values: NDArray[np.complex128] = np.array([_at(name, g, omega) for name, g in kept.items()])

@@ -109,6 +109,8 @@ def moduli(options: argparse.Namespace, comm: Comm) -> None:
     if options.direct and any(reduced):
         names = "--rtol, --out-of-core, --block-low-rank and --beta-family"
         raise InputError(f"moduli: {names} go with the reduced model, not --direct")
+    if options.mass is not None and not options.direct:
+        raise InputError("moduli: --mass goes with --direct; the reduced model has no inertia")
     rtol = 1e-6 if options.rtol is None else options.rtol
     checked_rtol(rtol, 1e-12)
     for w in options.fields:
@@ -120,6 +122,7 @@ def moduli(options: argparse.Namespace, comm: Comm) -> None:
         strain=options.strain,
         rtol=rtol,
         direct=options.direct,
+        mass=options.mass,
         fields_at=omega[np.unique(np.array(nearest, dtype=int))],
         family=options.beta_family,
         out_of_core=options.out_of_core,

@@ -204,6 +204,8 @@ def _moduli(known: Verbs) -> None:
     prestress(p)
     text = "frequencies in 1/tau1 at which displacements are stored (the nearest ones of --omega)"
     p.add_argument("--fields", type=Within(frequencies, ranges.OMEGA), default=(), metavar="RANGE", help=text)
+    text = "mass of every disk, in k tau1^2: G* with inertia (default: none, overdamped)"
+    p.add_argument("--mass", type=Within(number, ranges.INERTIA), metavar="M", help=text)
     text = (
         "bound on |dG*|/|G*| that the reduced model must meet from the lowest to the highest frequency (default 1e-6)"
     )

@@ -224,6 +224,8 @@ class ModulusAnalysis(Analysis):
         Bound on |ΔG*|/|G*| that the reduced model must meet.
     direct : bool
         Solve at each frequency instead.
+    mass : float or None
+        Of every disk, in units of k τ1²; None: no inertia.
     fields_at : (F,)
         Frequencies, of ``omegas``, at which displacements are stored.
     family : bool
@@ -237,6 +239,7 @@ class ModulusAnalysis(Analysis):
     strain: str = "simple-shear"
     rtol: float = 1e-6
     direct: bool = False
+    mass: float | None = None
     fields_at: ArrayLike = ()
     family: bool = False
     out_of_core: bool = False
@@ -272,7 +275,7 @@ class ModulusAnalysis(Analysis):
         pairs = [(law, kept) for law in ensemble.laws for kept in ensemble.prestress]
         wanted = [{"strain": self.strain, "damping": str(law), "prestress": kept} for law, kept in pairs]
         omegas, fields_at = np.asarray(self.omegas), np.asarray(self.fields_at, dtype=float)
-        return done(ensemble.output, wanted, omegas, fields_at, None if self.direct else self.rtol)
+        return done(ensemble.output, wanted, omegas, fields_at, None if self.direct else self.rtol, self.mass)
 
     def results(self, packing: Packing, laws: Sequence[Any], **common: Any) -> Iterator[tuple[Any, ComplexModulus]]:
         """Yield G* under each law.
@@ -286,7 +289,8 @@ class ModulusAnalysis(Analysis):
         """
         common["strain"], first = self.strain, laws[0]
         if self.direct:
-            yield first, complex_modulus(packing, self.omegas, damping=first, fields_at=self.fields_at, **common)
+            common |= {"mass": self.mass, "fields_at": self.fields_at}
+            yield first, complex_modulus(packing, self.omegas, damping=first, **common)
             return
         omegas = np.asarray(self.omegas)
         span = float(omegas.min()), float(omegas.max())

@@ -173,7 +173,12 @@ def read_modulus(file: str | PathLike[str]) -> ComplexModulus:
 
 
 def done(
-    file: str | PathLike[str], laws: Iterable[Mapping[str, Any]], omega: Array, kept: Array, rtol: float | None
+    file: str | PathLike[str],
+    laws: Iterable[Mapping[str, Any]],
+    omega: Array,
+    kept: Array,
+    rtol: float | None,
+    mass: float | None,
 ) -> set[tuple[str, str, bool]]:
     """Return checksum, damping and pre-stress of the results in ``file``, if they were made with these settings.
 
@@ -185,6 +190,8 @@ def done(
         Frequencies, and those at which displacements are stored.
     rtol : float or None
         Of the reduced model; None for direct solves.
+    mass : float or None
+        Of every disk.
 
     Raises
     ------
@@ -202,6 +209,8 @@ def done(
             reason = "with " + ("one solve a frequency" if g.model is None else "the reduced model")
         elif g.model is not None and rtol is not None and g.model.rtol > rtol:
             reason = f"with rtol = {g.model.rtol:g}, not {rtol:g}"
+        elif not (mass is None if g.mass is None else (g.mass == mass).all()):
+            reason = f"with {g.inertia or 'no mass'}, not {'none' if mass is None else f'{mass:g}'}"
         elif not np.array_equal(g.omega, omega):
             reason = "at other frequencies (omega)"
         elif not np.array_equal(g.field_omega, kept):

@@ -76,7 +76,7 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
     if len({g.prestress for g in results.values()}) == 1:
         title += f"; {given(first.prestress)}"
-    title += f"; {first.strain}"
+    title += f"; {first.strain}" + f"; {first.inertia}" * bool(first.inertia)
     axes.set_title(title, fontsize=10)
     if bad:
         text = bad[0].state if one else f"{len({g.origin.checksum for g in bad})} of {count} packings not stable"

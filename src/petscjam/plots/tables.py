@@ -247,9 +247,9 @@ def table(results: Mapping[str, Result]) -> str:
 
 def moduli_table(results: Mapping[str, Any]) -> str:
     """Return a table of ``results`` for each law: limits, largest error, and whether the packing is stable."""
-    blocks: dict[tuple[str, DampingLaw, bool, bool], dict[str, ComplexModulus]] = {}
+    blocks: dict[tuple[str, DampingLaw, bool, bool, str], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
-        blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None), {})[name] = g
+        blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None, g.inertia), {})[name] = g
     return "\n\n".join(_block(some) for some in blocks.values())
 
 
@@ -262,7 +262,8 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
         bound = "bound" if proved else "bound or estimate"
         what, meaning = "error", f"error: {bound} on |ΔG*|/|G*|"
     lines = [
-        f"{first.strain}, {first.damping}, {'with' if first.prestress else 'without'} pre-stress; "
+        f"{first.strain}, {first.damping}, {'with' if first.prestress else 'without'} pre-stress"
+        f"{f', {first.inertia} k tau1²' * bool(first.inertia)}; "
         f"{len(first.omega)} frequencies from {first.omega.min():.3g} to {first.omega.max():.3g}",
         f"stress in k, time in tau1; {meaning}",
         f"{'packing':{width}} {'N':>7} {'phi':>8} {'p':>9} {'Z':>6} "

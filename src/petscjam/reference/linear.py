@@ -170,8 +170,21 @@ def stokes_drag(n, area, eta_fluid, strain="simple-shear"):
     return B
 
 
-def modulus(K, B, omega, area):
-    """Return G*(ω): solve (K + iωB) Q = e_γ (BT eq. 12) in the least-squares sense, G*V = 1/Q_γ.
+def inertia(masses, radii):
+    """Return M, (3N + 1, 3N + 1): the mass of each disk, and its moment of inertia as a homogeneous disk.
+
+    The motion is that relative to the affine one, so the strain has no inertia.
+
+    Parameters
+    ----------
+    masses, radii : (N,)
+    """
+    moments = [m * radius**2 / 2 for m, radius in zip(masses, radii, strict=True)]
+    return np.diag([*np.repeat(masses, 2), *moments, 0.0])
+
+
+def modulus(K, B, omega, area, M=0.0):
+    """Return G*(ω): solve (K + iωB − ω²M) Q = e_γ (BT eq. 12) in the least-squares sense, G*V = 1/Q_γ.
 
     Free motions (translations, rotations without resistance) do not enter the least-squares solution.
 
@@ -179,8 +192,10 @@ def modulus(K, B, omega, area):
     ----------
     K, B : (3N + 1, 3N + 1)
     omega, area : float
+    M : (3N + 1, 3N + 1)
+        Default: no inertia.
     """
-    A = K + 1j * omega * B
+    A = K + 1j * omega * B - omega**2 * M
     scale = 1 / np.sqrt(np.abs(np.diag(A)) + (np.diag(A) == 0))
     forcing = np.zeros(len(A))
     forcing[-1] = scale[-1]
@@ -188,17 +203,19 @@ def modulus(K, B, omega, area):
     return 1 / (Q[-1] * area)
 
 
-def stokes_modal_sum(K, omega, area, eta_fluid):
+def stokes_modal_sum(K, omega, area, eta_fluid, mass=0.0):
     """Return G*(ω) under Stokes drag from the modes of K_uu.
 
-    G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω)) + iω ηF.
+    G* = G_affine − Σ_k (v_k·K_uγ)² / (V (λ_k + iω − ω²m)) + iω ηF.
 
     Parameters
     ----------
     K : (3N + 1, 3N + 1)
     omega, area, eta_fluid : float
+    mass : float
+        Of every disk.
     """
     n2 = 2 * (len(K) - 1) // 3
     values, vectors = np.linalg.eigh(K[:n2, :n2])
     overlap = vectors.T @ K[:n2, -1]
-    return (K[-1, -1] - np.sum(overlap**2 / (values + 1j * omega))) / area + 1j * omega * eta_fluid
+    return (K[-1, -1] - np.sum(overlap**2 / (values + 1j * omega - omega**2 * mass))) / area + 1j * omega * eta_fluid

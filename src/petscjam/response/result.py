@@ -85,7 +85,7 @@ class ComplexModulus(Judged):
         if self.mass is None:
             return ""
         low, high = self.mass.min(), self.mass.max()
-        return f"mass {low:g}" if low == high else f"masses from {low:g} to {high:g}"
+        return f"mass {low:.12g}" if low == high else f"masses from {low:.12g} to {high:.12g}"
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
