@@ -94,8 +94,8 @@ def rows(c, radii, strain, arms):
     c : contact
     radii : (N,)
     strain : str
-    arms : int
-        1: at the contact point; 0: at the centres.
+    arms : float
+        Lever arms in radii; 0: at the centres.
     """
     n = len(radii)
     r = (c.rx**2 + c.ry**2) ** 0.5
@@ -136,7 +136,7 @@ def hessian(found, radii, strain="simple-shear", prestress=True):
     return K
 
 
-def contact_damping(found, radii, beta, rotations=True, strain="simple-shear"):
+def contact_damping(found, radii, beta, rotations=True, strain="simple-shear", midway=False):
     """Return B of BT eq. 6, (3N + 1, 3N + 1).
 
     Parameters
@@ -146,10 +146,13 @@ def contact_damping(found, radii, beta, rotations=True, strain="simple-shear"):
     beta : float
     rotations : bool
     strain : str
+    midway : bool
+        Whether the lever arms are ρ r/(ρi + ρj), as in the disk engine (VOT eq. 6), instead of ρ.
     """
     B = np.zeros((3 * len(radii) + 1,) * 2)
     for c in found:
-        parallel, transverse = rows(c, radii, strain, arms=int(rotations))
+        arm = (c.rx**2 + c.ry**2) ** 0.5 / (radii[c.i] + radii[c.j]) if midway else 1.0
+        parallel, transverse = rows(c, radii, strain, arms=rotations * arm)
         B += np.outer(parallel, parallel) + beta * np.outer(transverse, transverse)
     return B
 

@@ -1,0 +1,137 @@
+"""Oscillations of the disk engine at small amplitude against G*(ω) with inertia, and without.
+
+    python benchmarks/inertia.py [--folder runs/inertia]
+
+Three packings of 256 disks × four laws × five frequencies, amplitude 1e-6, Q = 1, mass 1; each with two time steps,
+dt and dt/2, extrapolated to 0. The first cycles are left out until the slowest free motion of the linear equation has
+fallen by 1e-7. Prints a table of the largest relative differences, of direct solves and of the slow twin with the
+lever arms of the engine (VOT eq. 6), and the part that inertia has in G*. Resumable; about an hour on one core.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import eigvals
+
+import petscjam as pj
+from petscjam.md import protocols
+from petscjam.reference import linear as reference
+
+N, AMPLITUDE, FALL = 256, 1e-6, np.log(1e7)
+PACKINGS = {
+    "p = 1e-2": {"pressure": 1e-2, "seed": 1},
+    "p = 3e-3": {"pressure": 3e-3, "seed": 2, "shear_stabilised": True},
+    "p = 1e-3": {"pressure": 1e-3, "seed": 3, "shear_stabilised": True},
+}
+LAWS = {
+    "β = 0": pj.ContactDamping(0.0),
+    "β = 0.3, at the centres": pj.ContactDamping(0.3, rotations=False),
+    "β = 1, rolling": pj.ContactDamping(1.0),
+    "Stokes drag": pj.StokesDrag(1.0),
+}
+OMEGA = [0.03, 0.1, 0.3, 1.0, 3.0]
+
+
+def in_small_diameters(packing):
+    """Return the packing in the unit of length of a run."""
+    ds = 2 * packing.radii.min()
+    return pj.Packing(packing.positions / ds, packing.radii / ds, pj.Box(packing.box.cell / ds), packing.potential_name)
+
+
+def matrices(packing, law):
+    """Return K, B and M of the slow twin, B with the lever arms of the engine."""
+    found = reference.contacts(packing.positions, packing.radii, packing.box.cell, packing.potential, images=1)
+    found = found if law.body else reference.without_rattlers(found, len(packing))
+    K = reference.hessian(found, packing.radii)
+    if law.body:
+        B = reference.stokes_drag(len(packing), packing.box.area, law.fluid)
+    else:
+        B = reference.contact_damping(found, packing.radii, law.beta, law.rotations, midway=True)
+    return K, B, reference.inertia(np.ones(len(packing)), packing.radii)
+
+
+def slowest(K, B, M):
+    """Return the rate at which the slowest free motion falls, without translations and uncoupled disks."""
+    some = np.flatnonzero(np.abs(K[:-1]).sum(1) + np.abs(B[:-1]).sum(1))
+    m = np.diag(M)[some]
+    K, B = (form[np.ix_(some, some)] / m[:, None] for form in (K, B))
+    rates = -eigvals(np.block([[np.zeros_like(K), np.eye(len(m))], [-K, -B]])).real
+    return rates[rates > 1e-6].min()
+
+
+def swing(packing, law, omega, rate, dt):
+    """Return G* of the engine, and the number of contacts made and broken."""
+    skip = int(np.ceil(FALL / rate * omega / (2 * np.pi)))
+    run = pj.md.run(protocols.oscillation(AMPLITUDE, omega, skip + 2), law, start=packing, dt=dt)
+    return pj.md.harmonics(run, skip=skip).modulus, int(run.rows["made"].sum() + run.rows["broken"].sum())
+
+
+def measured(packing, law):
+    """Return the numbers of a packing and a law at all frequencies."""
+    scaled, found = in_small_diameters(packing), []
+    K, B, M = matrices(scaled, law)
+    rate = slowest(K, B, M)
+    heavy, none = (pj.complex_modulus(scaled, OMEGA, damping=law, mass=mass).values for mass in (1.0, None))
+    for omega, with_inertia, without in zip(OMEGA, heavy, none, strict=True):
+        dt = min(0.04, 0.06 / omega)
+        (coarse, first), (fine, second) = (swing(packing, law, omega, rate, step) for step in (dt, dt / 2))
+        engine = fine + (fine - coarse) / 3
+        twin = reference.modulus(K, B, omega, scaled.box.area, M)
+        found.append(
+            {
+                "omega": omega,
+                "difference": abs(engine / with_inertia - 1),
+                "twin": abs(engine / twin - 1),
+                "part": abs(with_inertia / without - 1),
+                "missed": abs((engine - without) / (with_inertia - without) - 1),
+                "step": abs(coarse / fine - 1),
+                "changes": first + second,
+            }
+        )
+        print(f"{omega:g}: {found[-1]}", flush=True)
+    return found
+
+
+def table(folder):
+    """Return the largest numbers over the frequencies."""
+    lines = ["| packing | law | engine − solver | engine − twin | part of inertia in G* | the same from the engine |"]
+    lines.append("|---|---|---|---|---|---|")
+    for p in PACKINGS:
+        for law in LAWS:
+            file = folder / f"{p}, {law}.json"
+            if file.exists():
+                rows = json.loads(file.read_text())
+                worst = {key: max(row[key] for row in rows) for key in rows[0]}
+                low, high = (choose(row["part"] for row in rows) for choose in (min, max))
+                missed = max(row["missed"] * row["part"] for row in rows) / high
+                lines.append(
+                    f"| {p} | {law} | {worst['difference']:.0e} | {worst['twin']:.0e} | "
+                    f"{low:.1g} … {high:.2g} | within {missed:.0e} |" + " contacts changed" * bool(worst["changes"])
+                )
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--folder", type=Path, default=Path("runs/inertia"))
+    folder = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    for p, how in PACKINGS.items():
+        start = folder / f"{p}.h5"
+        if not start.exists():
+            pj.prepare_packing(N, **how).write(start)
+        packing = pj.Packing.read(start)
+        print(p, "proved minimum:", packing.certificate.proved, flush=True)
+        for name, law in LAWS.items():
+            file = folder / f"{p}, {name}.json"
+            if not file.exists():
+                print(p, name, flush=True)
+                rows = measured(packing, law)
+                file.write_text(json.dumps(rows))
+    print(table(folder))
+
+
+if __name__ == "__main__":
+    main()
