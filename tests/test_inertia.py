@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from helpers import any_law, any_prestress, any_strain, jammed, lattice, refused, triangular_lattice, twin_matrices
+from helpers import (
+    EVERY_LAW,
+    any_law,
+    any_prestress,
+    any_strain,
+    jammed,
+    lattice,
+    refused,
+    triangular_lattice,
+    twin_matrices,
+)
 
 import petscjam as pj
 from petscjam.base.errors import InputError
@@ -117,6 +127,66 @@ def test_limits(law):
 
 
 @alone
+@pytest.mark.parametrize(
+    ("law", "mass"), [(law, MASSES) for law in EVERY_LAW] + [(pj.StokesDrag(0.0), 30.0)], ids=lambda x: str(x)[:25]
+)
+def test_the_error_of_the_reduced_model_is_below_its_bound(law, mass):
+    """At every frequency, also between the nodes and outside the span; at sharp resonances, too."""
+    packing = jammed(2e-2, 64, 3)
+    s = pj.spectrum(packing, (1e-3, 10.0), damping=law, mass=mass, rtol=1e-4)
+    omega = np.geomspace(1e-4, 1e2, 61)
+    g = pj.complex_modulus(packing, omega, damping=law, mass=mass)
+    off, storage, loss = g.values - s(omega), *s.part_errors(omega)
+    floor = 1e-12 * abs(g.values)
+    assert (abs(off) <= s.error(omega) * abs(g.values) + floor).all()
+    assert (abs(off.real) <= storage * abs(g.values.real) + floor).all()
+    assert (abs(off.imag) <= loss * abs(g.values.imag) + floor).all()
+    inside = omega[(omega >= 1e-3) & (omega <= 10)]
+    assert s.error(inside).max() < 2e-4
+    assert s.power_balance(omega).max() < 1e-9
+    assert (s.G0, s.eta0, s.G_inf, s.eta_inf) == pytest.approx((g.G0, g.eta0, g.G_inf, g.eta_inf), rel=1e-10)
+
+
+@alone
+def test_the_bound_needs_no_positive_stiffness():
+    """The bound is from friction alone: it holds for a compressed honeycomb, which has negative modes."""
+    packing = lattice((1.5, 0.75**0.5), (1.5, -(0.75**0.5)), 4, 4, basis=((0, 0), (1, 0)))
+    law, omega = pj.ContactDamping(0.3, rotations=False), np.geomspace(1e-2, 10, 31)
+    s, g = (
+        pj.spectrum(packing, (1e-2, 10.0), damping=law, mass=20.0),
+        pj.complex_modulus(packing, omega, damping=law, mass=20.0),
+    )
+    assert s.negative_modes > 0
+    assert (abs(s(omega) - g.values) <= (s.error(omega) + 1e-12) * abs(g.values)).all()
+
+
+@pytest.mark.parallel(nprocs=[1, 2])
+def test_the_reduced_model_does_not_depend_on_ranks(comm):
+    packing, omega = jammed(2e-2, 64, 3), np.geomspace(1e-2, 10, 7)
+    s = pj.spectrum(packing, (1e-2, 10.0), mass=MASSES, comm=comm)
+    g = pj.complex_modulus(packing, omega, mass=MASSES)
+    assert (abs(s(omega) / g.values - 1) <= s.error(omega)).all()
+    assert s.error(omega).max() < 1e-6
+
+
+@alone
+def test_a_reduced_model_in_a_file(tmp_path):
+    packing = jammed(2e-2, 64, 3)
+    s = pj.spectrum(packing, (1e-2, 10.0), mass=MASSES, displacements=True)
+    pj.write_spectrum(s, tmp_path / "model.h5")
+    again, omega = pj.read_spectrum(tmp_path / "model.h5"), np.geomspace(1e-2, 10, 7)
+    assert type(again) is type(s)
+    assert np.array_equal(again(omega), s(omega))
+    assert np.array_equal(again.error(omega), s.error(omega))
+    assert np.array_equal(again.mass, MASSES)
+    direct = pj.complex_modulus(packing, [0.3], mass=MASSES, fields_at=[0.3]).fields[0]
+    assert np.nanmax(abs(s.displacement(0.3) - direct)) < 1e-3 * np.nanmax(abs(direct))
+    for ask in (s.relaxation, lambda: s.G(1.0), lambda: s.J(1.0), lambda: s.kramers_kronig(omega)):
+        with pytest.raises(InputError, match="with inertia the response is no sum of relaxations"):
+            ask()
+
+
+@alone
 def test_displacements_have_no_momentum():
     packing, law = jammed(2e-2, 64, 3), pj.ContactDamping(0.3)
     g = pj.complex_modulus(packing, OMEGA, damping=law, mass=MASSES, fields_at=OMEGA)
@@ -136,6 +206,14 @@ def test_a_wrong_mass_is_refused(mass):
 def test_the_command_stores_and_shows_the_mass(tmp_path, capfd):
     packing, file, light = jammed(2e-2, 64, 3), tmp_path / "g.h5", tmp_path / "light.h5"
     packing.write(tmp_path / "p.h5")
+    sweep = ["moduli", str(tmp_path / "p.h5"), "--omega", "0.1:10:3", "--eta-fluid", "0,1", "--damping", "stokes"]
+    assert main([*sweep, "--mass", "2.5", "-o", str(tmp_path / "model.h5")]) == 0
+    assert "mass 2.5 k tau1²" in capfd.readouterr().out
+    for g in read_moduli(tmp_path / "model.h5").values():
+        exact = pj.complex_modulus(packing, g.omega, damping=g.damping, mass=2.5)
+        assert (abs(g.values / exact.values - 1) <= g.errors).all()
+    assert main(["plot", str(tmp_path / "model.h5"), "-o", str(tmp_path / "g.png")]) == 0
+    assert "--beta-family" in refused(capfd, *sweep[:4], "--mass", "2", "--beta-family", "-o", tmp_path / "no.h5")
     words = ["moduli", str(tmp_path / "p.h5"), "--omega", "0.1:10:3", "--direct"]
     assert main([*words, "--mass", "2.5", "-o", str(file)]) == 0
     assert "pre-stress, mass 2.5 k tau1²; 3 frequencies" in capfd.readouterr().out

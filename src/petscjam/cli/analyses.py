@@ -109,8 +109,8 @@ def moduli(options: argparse.Namespace, comm: Comm) -> None:
     if options.direct and any(reduced):
         names = "--rtol, --out-of-core, --block-low-rank and --beta-family"
         raise InputError(f"moduli: {names} go with the reduced model, not --direct")
-    if options.mass is not None and not options.direct:
-        raise InputError("moduli: --mass goes with --direct; the reduced model has no inertia")
+    if options.mass is not None and options.beta_family:
+        raise InputError("moduli: --beta-family has no inertia: leave out --mass")
     rtol = 1e-6 if options.rtol is None else options.rtol
     checked_rtol(rtol, 1e-12)
     for w in options.fields:

@@ -289,25 +289,25 @@ class ModulusAnalysis(Analysis):
         """
         common["strain"], first = self.strain, laws[0]
         if self.direct:
-            common |= {"mass": self.mass, "fields_at": self.fields_at}
-            yield first, complex_modulus(packing, self.omegas, damping=first, **common)
+            common["fields_at"] = self.fields_at
+            yield first, complex_modulus(packing, self.omegas, damping=first, mass=self.mass, **common)
             return
         omegas = np.asarray(self.omegas)
         span = float(omegas.min()), float(omegas.max())
         common |= {"rtol": self.rtol, "displacements": np.size(self.fields_at) > 0}
         common |= {"out_of_core": self.out_of_core, "block_low_rank": self.block_low_rank}
         if len(laws) == 1:
-            models = iter([spectrum(packing, span, damping=first, **common)])
+            models = iter([spectrum(packing, span, damping=first, mass=self.mass, **common)])
         elif isinstance(first, ContactDamping):
             betas = [law.tangential for law in laws]
             member = beta_family(packing, (min(betas), max(betas)), span, rotations=first.rotations, **common)
             models = map(member, betas)
         elif strain_mode(self.strain).shears_fluid:
             # the fluid increases |G*|: the smallest viscosity needs the smallest absolute error
-            least = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), **common)
+            least = spectrum(packing, span, damping=min(laws, key=lambda law: law.fluid), mass=self.mass, **common)
             models = (least.with_fluid(law.fluid) for law in laws)
         else:
-            models = (spectrum(packing, span, damping=law, **common) for law in laws)
+            models = (spectrum(packing, span, damping=law, mass=self.mass, **common) for law in laws)
         for law, model in zip(laws, models, strict=True):
             yield law, ComplexModulus.sampled(model, self.omegas, self.fields_at)
 

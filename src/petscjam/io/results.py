@@ -17,6 +17,7 @@ from petscjam.base.types import Array, per_decade
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.io.kinds import KINDS, PREFIX, SPECTRUM, class_of, kind_of
+from petscjam.response.inertial import InertialSpectrum
 from petscjam.response.origin import Judged, Origin, Result
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
@@ -294,12 +295,13 @@ def _write(node: h5py.Group, name: str, value: object, unit: str | None = None) 
 
 
 def _read_model(node: h5py.Group) -> Spectrum:
-    values = _values(node, Spectrum)
+    kind = InertialSpectrum if "M" in node else Spectrum
+    values = _values(node, kind)
     if "rounding_only" not in node.attrs:  # an older file: it has no error bound if the residual is a rounding error
         values["rounding_only"] = False
         values["definite"] &= bool(values["gains"].any() or values["estimate"])
     pairs = {name: tuple(values[name].tolist()) for name in ("span", "forcing", "affine")}
-    return Spectrum(**{**values, **pairs})
+    return kind(**{**values, **pairs})
 
 
 def _values(node: h5py.Group, kind: type[Result]) -> dict[str, Any]:

@@ -196,8 +196,7 @@ def _parameters(source: Spectrum | ComplexModulus, **others: int) -> str:
 
 def _setting(source: Spectrum | ComplexModulus) -> str:
     setting = f"# {source.strain}, {source.damping}, {'with' if source.prestress else 'without'} pre-stress"
-    if inertia := getattr(source, "inertia", ""):
-        setting += f", {inertia} k tau1^2"
+    setting += f", {source.inertia} k tau1^2" * bool(source.inertia)
     net_force = source.origin.net_force
     known = net_force is not None and source.origin.balanced is False
     return f"{setting}; {source.state}" + (f"; net forces on disks reach {net_force:.2g} p d" if known else "")

@@ -135,7 +135,7 @@ def _draw_time(axes: Axes, model: Spectrum) -> None:
     axes.set_title("after a step of strain, of stress", fontsize=9)
     try:
         G, J = model.G(t), model.J(t)
-    except SolverError as error:
+    except (InputError, SolverError) as error:
         axes.text(0.5, 0.5, str(error), transform=axes.transAxes, ha="center", wrap=True, color=UNSTABLE)
         return
     axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$, units of $k$")

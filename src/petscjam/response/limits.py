@@ -117,7 +117,7 @@ def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSol
         return _limit(problem, problem.affine[0] - stored, problem.affine[1], 0.0)
     solver.factor(pencil.combine(0, 1))
     x, residual = solver.solve(-pencil.b[:, 0], "B is singular (motions without friction)")
-    if _singular(problem, pencil, solver):
+    if singular(problem, pencil, solver):
         raise SolverError("B is singular: there are motions without friction")
     motion: Motion = (pencil.dofs.gather(x, problem.comm), _unit(problem))
     G = problem.product(problem.K, motion, motion).real
@@ -125,8 +125,16 @@ def infinite_frequency(problem: LinearProblem, pencil: Pencil, solver: DirectSol
     return _limit(problem, G, eta, residual)
 
 
-def _singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> bool:
-    """Return whether x − B⁻¹(Bx) of a random motion x is a motion without friction."""
+def singular(problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> bool:
+    """Return whether x − B⁻¹(Bx) of a random motion x is a motion without friction.
+
+    Parameters
+    ----------
+    problem, pencil
+        As for :func:`infinite_frequency`.
+    solver : DirectSolver
+        With the factor of B.
+    """
     x, y = pencil.vectors
 
     def resisted(motion: Field) -> tuple[Field, float]:

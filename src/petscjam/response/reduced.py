@@ -1,4 +1,6 @@
-"""The reduced model of (K, B): responses at a few frequencies, chosen one by one until the error bound is below rtol.
+"""The reduced model of (K, B), and M with inertia: responses at a few frequencies.
+
+They are chosen one by one until the error bound is below rtol.
 
 Every rank has its rows of the motions, and the same small matrices between them (docs/theory.md, Reduced model).
 
@@ -8,13 +10,16 @@ Axes: n local rows, m motion (0 is Q₀, with strain 1), k node.
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.progress import Report
@@ -23,10 +28,12 @@ from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve, total
 from petscjam.parallel.memory import peak_memory
-from petscjam.parallel.solver import DirectSolver
-from petscjam.response.basis import ReducedBasis
-from petscjam.response.limits import infinite_frequency, limit_or_note, zero_frequency
-from petscjam.response.matrices import Pencil, solving
+from petscjam.parallel.solver import DirectSolver, direct_solver
+from petscjam.response.basis import NEW, ReducedBasis
+from petscjam.response.dofs import free_motions, resists
+from petscjam.response.inertial import InertialSpectrum
+from petscjam.response.limits import infinite_frequency, limit_or_note, singular, zero_frequency
+from petscjam.response.matrices import Pencil, assembled, solving
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
@@ -35,7 +42,7 @@ from petscjam.rows.kinematics import strain_mode
 PER_DECADE = 32  # frequencies at which the error bound is tested
 EVERY = 4  # every 4th of them may become a node
 ORDER = 2  # a node gives q and dq/dω; at the ends of the span q alone
-MOST_NODES = 40
+MOST_NODES, MOST_RESONANT = 40, 120  # without and with inertia
 MOST_SPOILED = 3  # largest number of times that rounding errors of the gains may raise the bound above rtol again
 MOST_DECADES = 30
 PLATEAU = 1e-3  # relative distance of a limit from the value at the end of the span, above which it is solved for
@@ -57,6 +64,7 @@ def spectrum(
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
+    mass: ArrayLike | None = None,
     comm: Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
@@ -82,6 +90,9 @@ def spectrum(
         Keep the second term of BT eq. 4.
     rtol : float
         Of |ΔG*|/|G*|, between 1e-12 and 0.1. If rounding errors exceed it, there is a note.
+    mass : float or (N,) array_like
+        Of every disk, or of each one, in units of k τ1² (docs/theory.md, Inertia). The result is an
+        :class:`petscjam.response.inertial.InertialSpectrum`. Default: no inertia.
     comm : MPI communicator
         Default: COMM_SELF. The result is the same on every rank.
     displacements : bool
@@ -96,20 +107,26 @@ def spectrum(
     Raises
     ------
     InputError
-        On a span that is not 0 < low ≤ high, an unknown strain, a packing without a connected backbone.
+        On a span that is not 0 < low ≤ high, an unknown strain, a packing without a connected backbone, a mass
+        that is not > 0.
     SolverError
-        If a solve fails.
+        If a solve fails, or with inertia friction does not resist every motion.
     """
     comm, start = resolve(comm), time.perf_counter()
-    agree(comm, packing, span, damping, strain, prestress, rtol, displacements, solver_options)
+    agree(comm, packing, span, damping, strain, prestress, rtol, displacements, solver_options, mass)
     low, high = checked_span(span)
     checked_rtol(rtol, 1e-12)
     law = law_or_default(damping)
-    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm, fluid=False)
-    with solving(problem, progress, **solver_options) as (pencil, solver):
-        grow = _Projection(problem, pencil, solver)
+    problem = LinearProblem(packing, law, [strain_mode(strain)], prestress, comm, fluid=False, mass=mass)
+    with ExitStack() as held:
+        pencil, solver = held.enter_context(solving(problem, progress, **solver_options))
+        grow: _Growing
+        if mass is None:
+            grow = _Projection(problem, pencil, solver)
+        else:
+            grow = _InertialProjection(problem, pencil, solver, held.enter_context(_friction(problem)))
         make = partial(
-            Spectrum,
+            grow.model_class,
             span=(low, high),
             rtol=rtol,
             limits=np.full((2, 2), np.nan),
@@ -118,7 +135,8 @@ def spectrum(
             affine=problem.affine,
             area=packing.box.area,
             pressure=problem.pressure,
-            definite=problem.definite,
+            definite=problem.definite or mass is not None,
+            mass=problem.masses,
             negative_modes=problem.negative_modes,
             zero_modes=problem.zero_modes,
             origin=describe(problem, name, strain, law),
@@ -199,24 +217,27 @@ def _own_limits(model: Spectrum, notes: list[str]) -> tuple[Array, Array]:
         return np.full((2, 2), np.nan), np.full((2, 2), np.nan)
 
 
-def _until_bounded(grow: _Projection, make: partial[Spectrum], progress: Report | None) -> Spectrum:
+def _until_bounded(grow: _Growing, make: partial[Spectrum], progress: Report | None) -> Spectrum:
     """Add nodes where the bound is largest until it is below ``rtol``, or cannot be; return the model."""
     (low, high), rtol, comm = make.keywords["span"], make.keywords["rtol"], grow.problem.comm
     grid = per_decade(PER_DECADE, low, high)
-    candidates = grid[EVERY:-EVERY:EVERY] if len(grid) > 2 * EVERY else grid[1:-1]
+    every = grow.every
+    candidates = grid[every:-every:every] if len(grid) > 2 * every else grid[1:-1]
     for omega in np.unique([low, high]):
         grow.add(omega, order=1)
     spoiled = 0
     while True:
         model = make(**comm.bcast(grow.model(grid)))
-        bound = comm.bcast(np.nan_to_num(model.truncation(grid), nan=np.inf))
-        fresh = candidates[~np.isin(candidates, model.nodes)]
-        last = len(fresh) == 0 or len(grow.nodes) >= MOST_NODES or model.rounding_only
+        peaks = comm.bcast(model.resonances())
+        tested, free = np.append(grid, peaks), np.append(candidates, peaks)
+        bound = comm.bcast(np.nan_to_num(model.truncation(tested), nan=np.inf))
+        fresh = free[~np.isin(free, model.nodes)]
+        last = len(fresh) == 0 or len(grow.nodes) >= grow.most or model.rounding_only
         if last or bound.max() <= rtol:
             spoiled += 1
             if not model.rounding_only:
                 model = replace(model, gain_errors=comm.bcast(grow.gain_errors()))
-            bound = comm.bcast(model.truncation(grid))
+            bound = comm.bcast(model.truncation(tested))
         worst = float(bound.max())
         if progress:
             done = np.clip(np.log(max(worst, rtol / 10)) / np.log(rtol), 0, 1) if worst < 1 else 0.0
@@ -225,7 +246,7 @@ def _until_bounded(grow: _Projection, make: partial[Spectrum], progress: Report 
             break
         there = np.nan_to_num(model.truncation(fresh), nan=np.inf)
         grow.add(comm.bcast(float(fresh[np.argmax(there)])), order=ORDER)
-    floor = float(model.error(grid).max())
+    floor = float(model.error(tested).max())
     if not worst <= rtol:
         grow.problem.notes.append(f"rtol = {rtol:g} is not met: the error bound is {worst:.1e}")
     elif floor > rtol:
@@ -243,13 +264,36 @@ class _Node:
     forces: Complex
 
 
-class _Projection(ReducedBasis):
-    """Motions from nodes of one pencil (K, B), and the quantities of the error bound."""
+class _Growing(ReducedBasis, ABC):
+    """Motions from nodes of one pencil, and the arrays of a model, with those of its error bound."""
+
+    model_class: ClassVar[type[Spectrum]] = Spectrum
+    every: ClassVar[int] = EVERY
+    most: ClassVar[int] = MOST_NODES
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
         super().__init__(problem, pencil, solver)
         self.nodes: list[_Node] = []
         self.forcing = self.norm(pencil.k), self.norm(pencil.b)
+
+    @abstractmethod
+    def add(self, omega: float, order: int) -> None:
+        """Factor the pencil at ``omega``, and add q and its derivatives below ``order`` to the motions."""
+
+    @abstractmethod
+    def model(self, grid: Array) -> dict[str, Any]:
+        """Return the arrays of a model."""
+
+    @abstractmethod
+    def gain_errors(self) -> Array:
+        """Return the relative error of the gain of each node by rounding."""
+
+
+class _Projection(_Growing):
+    """Motions from nodes of one pencil (K, B), and the quantities of the error bound."""
+
+    def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
+        super().__init__(problem, pencil, solver)
         self._sizes = [
             np.sqrt(2 * abs(affine) * total(problem.comm, form.diagonal()).max())
             for affine, form in zip(problem.affine, pencil.forms, strict=True)
@@ -393,3 +437,111 @@ class _Projection(ReducedBasis):
             for node in self.nodes:
                 log += node.order * np.log(abs(grid**2 - node.omega**2))
         return float(self.problem.comm.bcast(grid[np.argmax(np.where(np.isfinite(log), log, -np.inf))]))
+
+
+class _InertialProjection(_Growing):
+    """Motions from nodes of (K, B, M), and the directions of the residual.
+
+    The residual at any ω is in the span of K, B and M times the motions. At a node KQ is −iωBQ + ω²MQ, so K adds
+    only what rounding leaves.
+
+    Parameters
+    ----------
+    friction : DirectSolver
+        With the factor of B, on the unknowns without inertia.
+    """
+
+    model_class = InertialSpectrum
+    every = 1  # resonances are narrow
+    most = MOST_RESONANT
+
+    def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver, friction: DirectSolver) -> None:
+        super().__init__(problem, pencil, solver)
+        self._friction, self._directions = friction, np.empty((len(self.coupling[0]), 0))
+        self._gain = np.empty((0, 0))
+        self._parts: list[list[Array]] = [[], [], []]  # of K, B and M: products with blocks of motions
+        rank = problem.comm.rank
+        self._held = pencil.dofs.scatter(problem.active, rank)
+        self._free = []
+        for motion in free_motions(problem.network):
+            e = pencil.dofs.scatter(motion * problem.moving, rank)
+            Me = self.apply(pencil.matrices[2], e + 0j).real
+            if not resists(problem.B, motion * problem.moving, problem.comm) and (eMe := float(self.dot(e, Me))):
+                self._free.append((e, Me, eMe))  # without momentum, as nothing drives them
+
+    def add(self, omega: float, order: int) -> None:
+        """Factor K + iωB − ω²M, and add q and, for an ``order`` of 2, its derivative to the motions."""
+        k, b, _ = self.coupling
+        _, B, M = self.pencil.matrices
+        self.solver.factor(self.pencil.combine(*self.problem.coefficients(omega)))
+        q = self.solve(-(k + 1j * omega * b))
+        first, new = not self.nodes, self.new_motions(q)
+        if order > 1:
+            slope = self.solve(b + self.apply(B, q) + 2j * omega * self.apply(M, q))
+            new += [slope.real, slope.imag]
+        products = self.extend(new)
+        for part, force, product in zip(self._parts, self.forces, products, strict=True):
+            part += [force[:, None]] * first + [product]
+        fresh = [*self.forces[::-1]] * first + [v for product in products[::-1] for v in product.T]
+        self._add_directions(fresh)
+        self.nodes.append(_Node(omega, order, q, q))
+
+    def _add_directions(self, vectors: list[Array]) -> None:
+        """Add the part of ``vectors`` outside the directions to these, and B⁻¹ between all of them."""
+        there = self._directions.shape[1]
+        for vector in vectors:
+            v, size = vector, self.norm(vector)
+            for _ in range(2):
+                v = v - self._directions @ self.dot(self._directions, v)
+            if self.norm(v) > NEW * size:
+                self._directions = np.column_stack([self._directions, v / self.norm(v)])
+        solved = np.zeros_like(self._directions[:, there:])
+        for column, direction in zip(solved.T, self._directions.T[there:], strict=True):
+            x, residual = self._friction.solve(direction[self._held] + 0j, soft=True)
+            column[self._held], self.residual = x.real, max(self.residual, residual)
+        gain = self.dot(self._directions, solved)
+        own = (gain[there:] + gain[there:].T) / 2
+        self._gain = np.block([[self._gain, gain[:there]], [gain[:there].T, own]])
+
+    def model(self, grid: Array) -> dict[str, Any]:
+        """Return the arrays of an :class:`InertialSpectrum`."""
+        K, B, M = self.reduced
+        parts = [np.vstack([self.dot(block, self._directions) for block in part]) for part in self._parts]
+        return {
+            "K": K,
+            "B": B,
+            "M": M,
+            "nodes": np.array([node.omega for node in self.nodes]),
+            "gains": np.zeros(len(self.nodes), dtype=complex),
+            "gain_errors": self.gain_errors(),
+            "residual_K": parts[0],
+            "residual_B": parts[1],
+            "residual_M": parts[2],
+            "friction": self._gain,
+        }
+
+    def gain_errors(self) -> Array:
+        """Return zeros: the bound needs no gains at nodes."""
+        return np.zeros(len(self.nodes))
+
+
+@contextmanager
+def _friction(problem: LinearProblem) -> Iterator[DirectSolver]:
+    """Yield a solver with the factor of B, on the unknowns without inertia.
+
+    Raises
+    ------
+    SolverError
+        If friction does not resist every motion.
+    """
+    dofs = problem.number(problem.active)
+    with (
+        assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
+        direct_solver(problem.comm, "petscjam_friction_", definite=True) as solver,
+    ):
+        solver.factor(pencil.combine(0, 1))
+        if singular(problem, pencil, solver):
+            raise SolverError(
+                "with inertia the reduced model has no error bound, as friction does not resist every motion"
+            )
+        yield solver

@@ -15,6 +15,7 @@ from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.response.origin import Judged, frequencies, stored
 from petscjam.response.spectrum import Spectrum
+from petscjam.rows.inertia import said
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +83,7 @@ class ComplexModulus(Judged):
     @property
     def inertia(self) -> str:
         """The masses as text; empty without inertia."""
-        if self.mass is None:
-            return ""
-        low, high = self.mass.min(), self.mass.max()
-        return f"mass {low:.12g}" if low == high else f"masses from {low:.12g} to {high:.12g}"
+        return said(self.mass)
 
     @classmethod
     def sampled(cls, model: Spectrum, omegas: ArrayLike, fields_at: ArrayLike = ()) -> ComplexModulus:
@@ -127,4 +125,5 @@ class ComplexModulus(Judged):
             geometry=model.geometry if len(kept) else None,
             performance=model.performance,
             model=replace(model, motions=None, geometry=None),
+            mass=model.mass,
         )

@@ -21,6 +21,7 @@ from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.response.origin import Judged, frequencies, stored
 from petscjam.rows.damping import StokesDrag
+from petscjam.rows.inertia import said
 from petscjam.rows.kinematics import strain_mode
 
 EPS = float(np.finfo(float).eps)
@@ -79,6 +80,8 @@ class Spectrum(Judged):
         bound outside the span.
     estimate : float
         Relative error of |G*| that is only an estimate, and part of every error (members of a family).
+    mass : (D,) or None
+        Mass of each disk, k τ1²; None without inertia.
     performance : dict
         Ranks, seconds, MUMPS memory (MB) and flops of a factorisation, largest residual of a solve.
     motions : (M, N, 2) or None
@@ -108,17 +111,23 @@ class Spectrum(Judged):
     performance: dict[str, Any] = field(default_factory=dict)
     motions: Array | None = field(default=None, metadata=stored("length per unit strain", "M N 2"))
     geometry: Packing | None = None
+    mass: Array | None = field(default=None, metadata=stored("stress*tau1**2", "D", finite=True))
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
 
     def __call__(self, omegas: ArrayLike) -> Complex:
         """Return G* at ``omegas`` (any shape), 1/τ1."""
-        omega = _positive(omegas)
+        omega = positive(omegas)
         return self._modulus(omega.ravel()).reshape(omega.shape)
 
     @property
     def fluid(self) -> float:
         """Viscosity of the fluid on the strain rate: it adds iωηF to G*, separately from K and B."""
         return self.damping.fluid * strain_mode(self.strain).shears_fluid
+
+    @property
+    def inertia(self) -> str:
+        """The masses as text; empty without inertia."""
+        return said(self.mass)
 
     @property
     def factorisations(self) -> int:
@@ -131,7 +140,7 @@ class Spectrum(Judged):
         It is valid at any frequency and grows outside ``span``; it is infinite there if the residual in the span
         is a rounding error, and for members of a family. If ``definite`` is False it is an estimate.
         """
-        omega = _positive(omegas)
+        omega = positive(omegas)
         w = omega.ravel()
         storage, loss = self._rounding(w)
         absolute = self._truncation(w) + np.hypot(storage, loss)
@@ -139,7 +148,7 @@ class Spectrum(Judged):
 
     def truncation(self, omegas: ArrayLike) -> Array:
         """Return the part of :meth:`error` from the truncation to a few motions, at ``omegas``."""
-        omega = _positive(omegas)
+        omega = positive(omegas)
         w = omega.ravel()
         with np.errstate(divide="ignore", invalid="ignore"):  # without any resistance
             return (self._truncation(w) / abs(self._modulus(w))).reshape(omega.shape)
@@ -149,7 +158,7 @@ class Spectrum(Judged):
 
         For members of a family ``estimate`` is used for each part as for |G*|.
         """
-        omega = _positive(omegas)
+        omega = positive(omegas)
         w = omega.ravel()
         G = self._modulus(w)
         square = self._residual(w) ** 2
@@ -170,19 +179,19 @@ class Spectrum(Judged):
 
     def residuals(self, omegas: ArrayLike) -> Array:
         """Return ‖(K + iωB)q − f‖/‖f‖ of the model at ``omegas``. The error of G* is quadratic in it."""
-        omega = _positive(omegas)
+        omega = positive(omegas)
         return abs(self._residual(omega.ravel())).reshape(omega.shape) / np.hypot(
             self.forcing[0], omega * self.forcing[1]
         )
 
     def power_balance(self, omegas: ArrayLike) -> Array:
         """Return |A_γγ + A_γu·q − Q†KQ − iωQ†BQ| / |G*V| at ``omegas``: zero except for rounding errors."""
-        omega = _positive(omegas)
+        omega = positive(omegas)
         w = omega.ravel()
         Q = self._motion(w)
-        K, B = (np.einsum("wm,mn,wn->w", Q.conj(), form, Q).real for form in (self.K, self.B))
-        energy = K + 1j * w * B
-        schur = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
+        B = np.einsum("wm,mn,wn->w", Q.conj(), self.B, Q).real
+        energy = self._storage(Q, w) + 1j * w * B
+        schur = self._force(Q, w)
         whole = energy + 1j * w * self.fluid / self._scale
         return (abs(schur - energy) / abs(whole)).reshape(omega.shape)
 
@@ -245,6 +254,10 @@ class Spectrum(Judged):
         """Viscosity at ω → ∞."""
         return float(self.limits[1, 1])
 
+    def resonances(self) -> Array:
+        """Return the frequencies of the resonances in the span: none without inertia."""
+        return np.empty(0)
+
     def own_limits(self) -> tuple[Array, Array]:
         """Return G0, η0 and G∞, η∞ of the model, (2, 2), and their relative errors, (2, 2).
 
@@ -264,7 +277,7 @@ class Spectrum(Judged):
 
         G0 + iωη∞ + Σ_j g_j iωτ_j/(1 + iωτ_j) obeys the Kramers–Kronig relations exactly.
         """
-        omega = _positive(omegas)
+        omega = positive(omegas)
         rates, weights, eta_inf = self._maxwell
         s = 1j * omega[..., None]
         return abs((self._G0 + 1j * omega * eta_inf + (weights * s / (s + rates)).sum(-1)) / self(omega) - 1)
@@ -309,12 +322,24 @@ class Spectrum(Judged):
 
     def _motion(self, w: Array) -> Complex:
         """Return Q = (1, y), (W, M), with (K + iωB)y = −(K + iωB)Q₀ on the motions without strain."""
-        return relaxed(self.K + 1j * w[:, None, None] * self.B)
+        return relaxed(self._pencil(w))
+
+    def _pencil(self, w: Array) -> Complex:
+        """Return K + iωB between the motions, (W, M, M)."""
+        A: Complex = self.K + 1j * w[:, None, None] * self.B
+        return A
+
+    def _force(self, Q: Complex, w: Array) -> Complex:
+        """Return the generalised force of ``Q`` (W, M) on Q₀, that is on the strain."""
+        return Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
+
+    def _storage(self, Q: Complex, w: Array) -> Array:
+        """Return Q†KQ of each ``Q`` (W, M)."""
+        energy: Array = np.einsum("wm,mn,wn->w", Q.conj(), self.K, Q).real
+        return energy
 
     def _modulus(self, w: Array) -> Complex:
-        Q = self._motion(w)
-        energy = Q @ self.K[:, 0] + 1j * w * (Q @ self.B[:, 0])
-        return self._scale * energy + self._shift + 1j * w * self.fluid
+        return self._scale * self._force(self._motion(w), w) + self._shift + 1j * w * self.fluid
 
     def _residual(self, w: Array) -> Complex:
         """Return Rᵀr(ω): the residual has one fixed direction R."""
@@ -443,7 +468,8 @@ def _diagonal(K: Array, B: Array, omega: float) -> tuple[Array, Array, Array]:
     raise SolverError("K + ωB between the motions is not positive at any ω: the packing is unstable")
 
 
-def _positive(omegas: ArrayLike) -> Array:
+def positive(omegas: ArrayLike) -> Array:
+    """Return frequencies of any shape, checked."""
     omega = np.asarray(omegas, dtype=float)
     frequencies(omega, empty=True)
     return omega

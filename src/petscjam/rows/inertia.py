@@ -45,6 +45,14 @@ def masses_of(mass: ArrayLike, n: int) -> Array:
     return np.full(n, given)
 
 
+def said(masses: Array | None) -> str:
+    """Return masses as text: one number, or the range; empty without inertia."""
+    if masses is None:
+        return ""
+    low, high = masses.min(), masses.max()
+    return f"mass {low:.12g}" if low == high else f"masses from {low:.12g} to {high:.12g}"
+
+
 def inertia_form(
     masses: Array, radii: Array, mean_diameter: float, my_disks: Mask, strains: Sequence[StrainMode]
 ) -> Form:
