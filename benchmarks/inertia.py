@@ -2,9 +2,9 @@
 
     python benchmarks/inertia.py [--folder runs/inertia]
 
-Three packings of 256 disks × four laws × five frequencies, amplitude 1e-6, Q = 1, mass 1, dt = 0.04 τe; at the highest
-frequency also dt/2, extrapolated to 0. The first cycles are left out until the slowest free motion of the linear
-equation has fallen by 1e-5. Prints a table of the largest relative differences, of direct solves and of the slow twin
+Three packings of 256 disks × four laws × five frequencies, amplitude 1e-6, Q = 1, mass 1, two time steps,
+0.04 and 0.02 τe, extrapolated to 0. The first 1000 τe are left out.
+Prints a table of the largest relative differences, of direct solves and of the slow twin
 with the lever arms of the engine (VOT eq. 6), and the part that inertia has in G*. Resumable; about ten minutes on one
 core.
 """
@@ -14,13 +14,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import eigvals
 
 import petscjam as pj
 from petscjam.md import protocols
 from petscjam.reference import linear as reference
 
-N, AMPLITUDE, FALL, DT = 256, 1e-6, np.log(1e5), 0.04
+N, AMPLITUDE, SETTLE, DT = 256, 1e-6, 1000.0, 0.04
 PACKINGS = {
     "p = 1e-2": {"pressure": 1e-2, "seed": 1},
     "p = 3e-3": {"pressure": 3e-3, "seed": 2, "shear_stabilised": True},
@@ -32,7 +31,7 @@ LAWS = {
     "β = 1, rolling": pj.ContactDamping(1.0),
     "Stokes drag": pj.StokesDrag(1.0),
 }
-OMEGA = [0.03, 0.06, 0.1, 0.3, 1.0]  # 1/τe
+OMEGA = [0.03, 0.1, 0.3, 1.0, 2.0]  # 1/τe
 
 
 def in_small_diameters(packing):
@@ -53,33 +52,29 @@ def matrices(packing, law):
     return K, B, reference.inertia(np.ones(len(packing)), packing.radii)
 
 
-def slowest(K, B, M):
-    """Return the rate at which the slowest free motion falls, without translations and uncoupled disks."""
-    some = np.flatnonzero(np.abs(K[:-1]).sum(1) + np.abs(B[:-1]).sum(1))
-    m = np.diag(M)[some]
-    K, B = (form[np.ix_(some, some)] / m[:, None] for form in (K, B))
-    rates = -eigvals(np.block([[np.zeros_like(K), np.eye(len(m))], [-K, -B]])).real
-    return rates[rates > 1e-6].min()
+def swing(packing, law, omega, dt):
+    """Return G* of the engine, and the number of contacts made and broken.
 
-
-def swing(packing, law, omega, rate, dt):
-    """Return G* of the engine, and the number of contacts made and broken."""
-    skip = int(np.ceil(FALL / rate * omega / (2 * np.pi)))
-    run = pj.md.run(protocols.oscillation(AMPLITUDE, omega, skip + 2), law, start=packing, dt=dt)
-    return pj.md.harmonics(run, skip=skip).modulus, int(run.rows["made"].sum() + run.rows["broken"].sum())
+    The first cycles are one row, because rows take time; the last two are a run from their end.
+    """
+    period = 2 * np.pi / omega
+    dt, cycles = period / round(period / dt), int(np.ceil(SETTLE / period))
+    first = pj.md.run(
+        protocols.oscillation(AMPLITUDE, omega, cycles), law, start=packing, dt=dt, row_time=cycles * period
+    )
+    run = pj.md.run(protocols.oscillation(AMPLITUDE, omega, 2), law, start=first, dt=dt)
+    changes = sum(int(part.rows[name].sum()) for part in (first, run) for name in ("made", "broken"))
+    return pj.md.harmonics(run, skip=0).modulus, changes
 
 
 def measured(packing, law):
     """Return the numbers of a packing and a law at all frequencies."""
     scaled, found = in_small_diameters(packing), []
     K, B, M = matrices(scaled, law)
-    rate = slowest(K, B, M)
     heavy, none = (pj.complex_modulus(scaled, OMEGA, damping=law, mass=mass).values for mass in (1.0, None))
     for omega, with_inertia, without in zip(OMEGA, heavy, none, strict=True):
-        engine, changes = swing(packing, law, omega, rate, DT)
-        if omega * DT > 0.02:
-            fine, further = swing(packing, law, omega, rate, DT / 2)
-            engine, changes = fine + (fine - engine) / 3, changes + further
+        (coarse, first), (fine, second) = (swing(packing, law, omega, dt) for dt in (DT, DT / 2))
+        engine = fine + (fine - coarse) / 3
         twin = reference.modulus(K, B, omega, scaled.box.area, M)
         found.append(
             {
@@ -88,7 +83,7 @@ def measured(packing, law):
                 "twin": abs(engine / twin - 1),
                 "part": abs(with_inertia / without - 1),
                 "missed": abs((engine - without) / (with_inertia - without) - 1),
-                "changes": changes,
+                "changes": first + second,
             }
         )
         print(f"{omega:g}: {found[-1]}", flush=True)

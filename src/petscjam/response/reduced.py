@@ -27,7 +27,7 @@ from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve, total
-from petscjam.parallel.memory import peak_memory
+from petscjam.parallel.memory import check_memory, peak_memory
 from petscjam.parallel.solver import DirectSolver, direct_solver
 from petscjam.response.basis import NEW, ReducedBasis
 from petscjam.response.dofs import free_motions, resists
@@ -124,7 +124,9 @@ def spectrum(
         if mass is None:
             grow = _Projection(problem, pencil, solver)
         else:
-            grow = _InertialProjection(problem, pencil, solver, held.enter_context(_friction(problem)))
+            grow = _InertialProjection(
+                problem, pencil, solver, held.enter_context(_friction(problem, **solver_options))
+            )
         make = partial(
             grow.model_class,
             span=(low, high),
@@ -526,18 +528,27 @@ class _InertialProjection(_Growing):
 
 
 @contextmanager
-def _friction(problem: LinearProblem) -> Iterator[DirectSolver]:
+def _friction(problem: LinearProblem, **solver_options: Any) -> Iterator[DirectSolver]:
     """Yield a solver with the factor of B, on the unknowns without inertia.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    **solver_options
+        As for :func:`spectrum`.
 
     Raises
     ------
+    InputError
+        If this factor and another one need more memory than is free.
     SolverError
         If friction does not resist every motion.
     """
     dofs = problem.number(problem.active)
+    check_memory(problem.comm, 2 * dofs.size, out_of_core=bool(solver_options.get("out_of_core")))
     with (
         assembled(problem.K, problem.B, dofs, problem.comm) as pencil,
-        direct_solver(problem.comm, "petscjam_friction_", definite=True) as solver,
+        direct_solver(problem.comm, "petscjam_friction_", definite=True, **solver_options) as solver,
     ):
         solver.factor(pencil.combine(0, 1))
         if singular(problem, pencil, solver):
