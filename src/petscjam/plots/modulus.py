@@ -36,10 +36,12 @@ def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
         figure = Figure(figsize=(wide, 5.2), layout="constrained")
         halves = [figure]
     if model:
-        panels = halves[0].subplot_mosaic([["G", "error"], ["G", "time"]], width_ratios=[1.7, 1])
+        right = ["error"] if model.inertia else ["error", "time"]
+        panels = halves[0].subplot_mosaic([["G", name] for name in right], width_ratios=[1.7, 1])
         _draw_moduli(panels["G"], results)
         _draw_errors(panels["error"], model)
-        _draw_time(panels["time"], model)
+        if "time" in panels:
+            _draw_time(panels["time"], model)
     else:
         _draw_moduli(halves[0].subplots(), results)
     return figure
@@ -67,7 +69,7 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     axes.plot([], [], "-s", color=LOSS, mfc="white", label="loss modulus $G''$")
     if bad:
         axes.plot([], [], ":", color="0.3", label="not stable")
-    if any((g.values.real < 0).any() for g in bad):
+    if any((g.values.real < 0).any() for g in results.values()):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
     axes.legend(loc="upper left", frameon=False)
     count = len({g.origin.checksum for g in results.values()})
@@ -135,7 +137,7 @@ def _draw_time(axes: Axes, model: Spectrum) -> None:
     axes.set_title("after a step of strain, of stress", fontsize=9)
     try:
         G, J = model.G(t), model.J(t)
-    except (InputError, SolverError) as error:
+    except SolverError as error:
         axes.text(0.5, 0.5, str(error), transform=axes.transAxes, ha="center", wrap=True, color=UNSTABLE)
         return
     axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$, units of $k$")

@@ -275,7 +275,7 @@ class _Growing(ReducedBasis, ABC):
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
         super().__init__(problem, pencil, solver)
-        self.nodes: list[_Node] = []
+        self.nodes: list[Any] = []
         self.forcing = self.norm(pencil.k), self.norm(pencil.b)
 
     @abstractmethod
@@ -296,6 +296,7 @@ class _Projection(_Growing):
 
     def __init__(self, problem: LinearProblem, pencil: Pencil, solver: DirectSolver) -> None:
         super().__init__(problem, pencil, solver)
+        self.nodes: list[_Node] = []
         self._sizes = [
             np.sqrt(2 * abs(affine) * total(problem.comm, form.diagonal()).max())
             for affine, form in zip(problem.affine, pencil.forms, strict=True)
@@ -486,7 +487,7 @@ class _InertialProjection(_Growing):
             part += [force[:, None]] * first + [product]
         fresh = [*self.forces[::-1]] * first + [v for product in products[::-1] for v in product.T]
         self._add_directions(fresh)
-        self.nodes.append(_Node(omega, order, q, q))
+        self.nodes.append(omega)
 
     def _add_directions(self, vectors: list[Array]) -> None:
         """Add the part of ``vectors`` outside the directions to these, and B⁻¹ between all of them."""
@@ -513,7 +514,7 @@ class _InertialProjection(_Growing):
             "K": K,
             "B": B,
             "M": M,
-            "nodes": np.array([node.omega for node in self.nodes]),
+            "nodes": np.array(self.nodes),
             "gains": np.zeros(len(self.nodes), dtype=complex),
             "gain_errors": self.gain_errors(),
             "residual_K": parts[0],
