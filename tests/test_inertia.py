@@ -249,6 +249,16 @@ def test_displacements_have_no_momentum():
 
 
 @alone
+def test_the_unit_of_length_does_not_matter():
+    packing, law, omega = jammed(2e-2, 64, 3), pj.ContactDamping(0.3), np.geomspace(1e-2, 10, 7)
+    large = pj.Packing(1e3 * packing.positions, 1e3 * packing.radii, pj.Box(1e3 * packing.box.cell))
+    one, other = (pj.spectrum(some, (1e-2, 10.0), damping=law, mass=2.0) for some in (packing, large))
+    assert other.nodes == pytest.approx(one.nodes, rel=1e-6)
+    assert other(omega) == pytest.approx(one(omega), rel=1e-9)
+    assert other.error(omega) == pytest.approx(one.error(omega), rel=1e-2, abs=1e-13)
+
+
+@alone
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf, "x", [1.0, 2.0], np.full((16, 1), 1.0)], ids=str)
 def test_a_wrong_mass_is_refused(mass):
     with pytest.raises(InputError, match=r"^mass: "):
