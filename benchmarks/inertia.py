@@ -4,9 +4,8 @@
 
 Three packings of 256 disks × four laws × five frequencies, amplitude 1e-6, Q = 1, mass 1, two time steps,
 0.02 and 0.01 τe, extrapolated to 0. The first 5000 τe are left out.
-Prints a table of the largest relative differences, of direct solves and of the slow twin
-with the lever arms of the engine (VOT eq. 6), and the part that inertia has in G*. Resumable; about twenty minutes on one
-core.
+Prints a table of the largest relative differences, of direct solves and of the slow twin with the lever arms of the
+engine (VOT eq. 6), and the part that inertia has in G*. Resumable; about twenty minutes on one core.
 """
 
 import argparse
