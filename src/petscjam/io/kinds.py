@@ -53,6 +53,11 @@ KINDS = {
         "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping",
         "nonlinear-drag",
     ),
+    "oscillations": Kind(
+        "petscjam.analysis.oscillation:Oscillations",
+        "G*(omega) at finite amplitudes, by the disk engine, with harmonics and contact changes",
+        "oscillate",
+    ),
     "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
 }
 PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"

@@ -1,0 +1,341 @@
+"""A packing under γ = γ0 sin ωt at finite amplitudes: moduli, harmonics, contact changes, and return to the same state.
+
+The disk engine (:mod:`petscjam.md`) shears it; the linear response with the same masses is computed, too.
+
+Axes: a amplitude, w frequency, h harmonic (3 and 5).
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petscjam.base import arguments, ranges
+from petscjam.base.errors import InputError, SolverError
+from petscjam.base.progress import Report
+from petscjam.base.types import Array
+from petscjam.geometry.packing import Packing
+from petscjam.md import protocols
+from petscjam.md.engine import Advance
+from petscjam.md.model import Model
+from petscjam.md.oscillations import harmonics
+from petscjam.md.result import Run
+from petscjam.md.runs import begin, engine_of, finish
+from petscjam.md.starts import given_state
+from petscjam.parallel.comm import Comm, agree, on_root, resolve
+from petscjam.response.moduli import complex_modulus
+from petscjam.response.origin import Result, Verb, frequencies, stored
+from petscjam.rows.damping import DampingLaw, law_or_default
+
+AMPLITUDE = ranges.Range(1e-12, 10)
+CYCLES = ranges.Range(3, 1e6, whole=True)
+LEAST = 64  # time steps of a cycle
+DEPARTS = 0.1  # |G*/G*(γ0 → 0) − 1| at γ†
+
+
+@dataclass(frozen=True, eq=False)
+class Oscillations(Result):
+    """Response of one packing to γ = γ0 sin ωt. Units: stress k (BT) or ke/d² (VOT), time τ1.
+
+    Attributes
+    ----------
+    amplitude : (A,)
+        γ0.
+    omega : (W,)
+        Angular frequencies, 1/τ1.
+    mass : float
+        Of every disk, kτ1².
+    cycles : int
+        Of each oscillation; a quarter of them, the transient, is left out of the means.
+    values : (A, W) complex
+        G′ + iG″, the first harmonic of the stress over γ0.
+    scatter : (A, W) complex
+        Standard errors of G′ and G″ over the cycles.
+    higher : (2, A, W) complex
+        Harmonics 3 and 5 of the stress over γ0.
+    linear : (W,) complex
+        G*(ω) of the linear response with inertia.
+    heat : (A, W)
+        Energy that is dissipated in the last cycle, over the area: πγ0²G″ if the cycle is periodic.
+    changes : (A, W)
+        Contacts made and broken in the last cycle, over the number of contacts.
+    returns : (A, W)
+        Root mean square displacement of the disks in the last cycle over γ0 d: 0 if the motion is periodic.
+    """
+
+    amplitude: Array = field(metadata=stored("1", "A", finite=True))
+    omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
+    mass: float = field(metadata=stored("stress*tau1**2", finite=True))
+    cycles: int = field(metadata=stored("1"))
+    values: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
+    scatter: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
+    higher: NDArray[np.complex128] = field(metadata=stored("stress", "2 A W"))
+    linear: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
+    heat: Array = field(metadata=stored("stress", "A W"))
+    changes: Array = field(metadata=stored("1", "A W"))
+    returns: Array = field(metadata=stored("1", "A W"))
+    settings: ClassVar[tuple[str, ...]] = ("damping",)
+    units: ClassVar[str] = "moduli in k; smallest omega, in 1/tau1; linear: of the linear response with inertia"
+    figure: ClassVar[str] = "petscjam.plots.oscillation:oscillation_figure"
+
+    @property
+    def departure(self) -> Array:
+        """|G* − G*(γ0 → 0)|/|G*(γ0 → 0)|, (A, W)."""
+        return np.asarray(np.abs(self.values / self.linear - 1))
+
+    @property
+    def onset(self) -> Array:
+        """γ†, (W,): the amplitude from which on G* departs by a tenth from the linear response.
+
+        Interpolated in the logarithms of both; NaN if it does not depart, or does so at every amplitude.
+        """
+        found = np.full(len(self.omega), np.nan)
+        order = np.argsort(self.amplitude)
+        x, y = np.log(self.amplitude[order]), np.log(np.maximum(self.departure[order], 1e-300))
+        for w in range(len(found)):
+            above = y[:, w] > np.log(DEPARTS)
+            first = len(above) - int((~above[::-1]).argmax()) if not above.all() else 0  # of the last ones above
+            if 0 < first < len(above):
+                a, b = y[first - 1, w], y[first, w]
+                found[w] = np.exp(x[first - 1] + (np.log(DEPARTS) - a) / (b - a) * (x[first] - x[first - 1]))
+        return found
+
+    def row(self) -> dict[str, float | str]:
+        """Return its line of the table: the lowest frequency, smallest and largest amplitude."""
+        w, (least, most) = int(self.omega.argmin()), (int(pick(self.amplitude)) for pick in (np.argmin, np.argmax))
+        return {
+            "law": str(self.damping),
+            "mass": self.mass,
+            "omega": self.omega[w],
+            "G' linear": self.linear[w].real,
+            f"G' at {self.amplitude[least]:.3g}": self.values[least, w].real,
+            f"G' at {self.amplitude[most]:.3g}": self.values[most, w].real,
+            "onset": self.onset[w],
+        }
+
+
+class Units(NamedTuple):
+    """Of the engine, in which lengths are in smallest diameters, and of the response.
+
+    With a potential of relative overlaps, stresses depend on the unit of length.
+
+    Attributes
+    ----------
+    Q : float
+        Elasticity of collisions, VOT eq. 9: the damping of the engine for the mass of the response.
+    stress : float
+        Stress of the engine over that of the response.
+    rate : float
+        Frequency of the engine, 1/τe, over that of the response, 1/τ1.
+    """
+
+    Q: float
+    stress: float
+    rate: float
+
+    @classmethod
+    def of(cls, packing: Packing, mass: float) -> Units:
+        """Return the units for disks of a ``mass``, in kτ1²: kd = kτ1 in the engine, and its mass is 1."""
+        stress = float((2 * packing.radii.min()) ** 2) if packing.potential.relative else 1.0
+        Q = float(np.sqrt(mass / stress))
+        return cls(Q, stress, stress * Q)
+
+
+def oscillate(
+    packing: Packing,
+    amplitudes: ArrayLike,
+    omegas: ArrayLike,
+    *,
+    mass: float = 1.0,
+    cycles: int = 8,
+    engine: str = "cpu",
+    damping: DampingLaw | None = None,
+    prestress: bool = True,
+    comm: Comm | None = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> Oscillations:
+    """Shear a packing as γ0 sin ωt at every amplitude and frequency, from rest.
+
+    Parameters
+    ----------
+    packing : Packing
+        Any cell. One that is not a proved minimum is allowed: the notes of the result say so.
+    amplitudes : (A,) array_like
+        γ0.
+    omegas : (W,) array_like
+        Angular frequencies, 1/τ1. A cycle takes some 150/ω time steps for a mass of 1, more for small masses.
+    mass : float
+        Of every disk, in kτ1²; moment of inertia mass ρ²/2.
+    cycles : int
+        At least 3.
+    engine : str
+        A name of :data:`petscjam.md.runs.ENGINES`; ``cuda`` makes all oscillations at once.
+    damping, comm, name, progress
+        As for :func:`petscjam.spectrum`. The engine is serial: rank 0 of ``comm`` runs it.
+    prestress : bool
+        True: disks exert their contact forces.
+
+    Raises
+    ------
+    InputError
+        On a number that is out of range, or without pre-stress.
+    SolverError
+        If velocities diverge, or a solve of the linear response fails.
+    """
+    comm = resolve(comm)
+    agree(comm, packing, amplitudes, omegas, mass, cycles, engine, damping, prestress)
+    law, omega = law_or_default(damping), frequencies(omegas)
+    gamma = np.atleast_1d(np.asarray(amplitudes, dtype=float)).ravel()
+    if not len(gamma):
+        raise InputError("amplitude: there is none")
+    for value in gamma:
+        AMPLITUDE.check("amplitude: amplitudes", float(value))
+    ranges.INERTIA.check("mass", mass)
+    CYCLES.check("cycles", cycles)
+    if not prestress:
+        raise InputError("oscillate: the disks exert their contact forces, so pre-stress cannot be left out")
+    linear = complex_modulus(packing, omega, damping=law, mass=mass, comm=comm, name=name)
+    tasks = [Task(float(a), float(w)) for a in gamma for w in omega]
+    found = on_root(comm, _measured, tasks, packing, law, mass, cycles, engine, progress)
+    values = {
+        key: np.array(column).reshape(len(gamma), len(omega))
+        for key, column in zip(Measure._fields, zip(*found, strict=True), strict=True)
+    }
+    higher = np.stack([values.pop("third"), values.pop("fifth")])
+    return Oscillations(
+        amplitude=gamma,
+        omega=omega,
+        mass=float(mass),
+        cycles=int(cycles),
+        linear=linear.values,
+        higher=higher,
+        origin=linear.origin,
+        notes=linear.notes,
+        **values,
+    )
+
+
+class Task(NamedTuple):
+    """An oscillation: γ0, and ω in 1/τ1."""
+
+    amplitude: float
+    omega: float
+
+
+class Measure(NamedTuple):
+    """Numbers of an oscillation, as in :class:`Oscillations`."""
+
+    values: complex
+    scatter: complex
+    third: complex
+    fifth: complex
+    heat: float
+    changes: float
+    returns: float
+
+
+def _measured(
+    tasks: list[Task], packing: Packing, law: DampingLaw, mass: float, cycles: int, engine: str, progress: Report | None
+) -> list[Measure]:
+    """Make the oscillations, on this rank."""
+    units, (start, _) = Units.of(packing, mass), given_state(packing)
+    assert start is not None
+    parts: dict[Task, float] = dict.fromkeys(tasks, 0.0)
+    found: dict[Task, Measure] = {}
+
+    def report(task: Task, first: float, share: float, fraction: float, text: str) -> None:
+        parts[task] = first + share * fraction
+        if progress is not None:
+            cost = np.array([1 / t.omega for t in tasks])
+            progress(
+                float(cost @ list(parts.values()) / cost.sum()), f"γ0 = {task.amplitude:.3g}, ω = {task.omega:.3g}"
+            )
+
+    def steps(task: Task) -> Iterator[Advance]:
+        """All cycles but the last from the packing, then the last."""
+        omega = units.rate * task.omega
+        longest = Model.of(law, units.Q, potential=packing.potential).step(None, "heun")
+        period = 2 * np.pi / omega
+        dt = period / max(int(np.ceil(period / longest)), LEAST)
+        make: Any = partial(begin, model=law, Q=units.Q, engine=engine, dt=dt)
+        share = 1 - 1 / cycles
+        before = yield from make(
+            protocols.oscillation(task.amplitude, omega, cycles - 1),
+            start=start,
+            progress=partial(report, task, 0.0, share),
+        )
+        last = yield from make(
+            protocols.oscillation(task.amplitude, omega, 1),
+            start=before.state,
+            progress=partial(report, task, share, 1 - share),
+        )
+        found[task] = _measure(before, last, units)
+        return last
+
+    def done(task: Task, run: Run) -> None:
+        """Nothing is left to do."""
+
+    abreast = getattr(engine_of(engine), "abreast", None)
+    if abreast is None:
+        for task in tasks:
+            finish(steps(task))
+    else:
+        for task, error in abreast(tasks, steps, done):
+            raise SolverError(f"amplitude {task.amplitude:g}, omega {task.omega:g}: {error}") from error
+    return [found[task] for task in tasks]
+
+
+def _measure(before: Run, last: Run, units: Units) -> Measure:
+    """Return the numbers of an oscillation, from all its cycles but the last, and from the last."""
+    fit, state = harmonics(before), last.state
+    first, third, fifth = fit.moduli / units.stress
+    apart = state.box.minimum_image(state.positions - before.state.positions)
+    path = fit.amplitude * 2 * state.radii.mean()
+    events = last.rows["made"].sum() + last.rows["broken"].sum()
+    contacts = len(state) * last.contacts.mean() / 2
+    return Measure(
+        first,
+        fit.errors[0] / units.stress,
+        third,
+        fifth,
+        float(last.rows["heat"].sum() / state.area / units.stress),
+        float(events / contacts),
+        float(np.sqrt((apart**2).sum(1).mean()) / path),
+    )
+
+
+def _options(parser: ArgumentParser) -> None:
+    text = "amplitudes gamma0: A:B:N or a list A,B,… (default 1e-5:1e-1:5)"
+    parser.add_argument(
+        "--amplitude",
+        dest="amplitudes",
+        type=arguments.Within(arguments.points, AMPLITUDE),
+        default="1e-5:1e-1:5",
+        metavar="RANGE",
+        help=text,
+    )
+    text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default 1e-2:1:3)"
+    parser.add_argument(
+        "--omega",
+        dest="omegas",
+        type=arguments.Within(arguments.frequencies, ranges.OMEGA),
+        default="1e-2:1:3",
+        metavar="RANGE",
+        help=text,
+    )
+    text = "of every disk, in k tau1^2 (default 1); small masses take more time steps"
+    parser.add_argument("--mass", type=arguments.Within(arguments.number, ranges.INERTIA), default=1.0, help=text)
+    text = "cycles of each oscillation; a quarter of them is left out of the means (default 8)"
+    parser.add_argument("--cycles", type=arguments.Within(arguments.integer, CYCLES), default=8, metavar="K", help=text)
+    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, all oscillations of a packing at once (default cpu)"
+    parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)
+
+
+VERB = Verb(oscillate, "G* at finite amplitudes, one group for each packing and law", _options)
