@@ -8,7 +8,6 @@ Axes: a amplitude, w frequency, h harmonic (3 and 5).
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
@@ -22,9 +21,9 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.md import protocols
-from petscjam.md.engine import Advance
 from petscjam.md.model import Model
 from petscjam.md.oscillations import harmonics
+from petscjam.md.recording import Steps
 from petscjam.md.result import Run
 from petscjam.md.runs import begin, engine_of, finish
 from petscjam.md.starts import given_state
@@ -36,7 +35,7 @@ from petscjam.rows.damping import DampingLaw, law_or_default
 AMPLITUDE = ranges.Range(1e-12, 10)
 CYCLES = ranges.Range(3, 1e6, whole=True)
 LEAST = 64  # time steps of a cycle
-DEPARTS = 0.1  # |G*/G*(γ0 → 0) − 1| at γ†
+DEPARTS = 0.1  # at γ†
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,8 @@ class Oscillations(Result):
     higher : (2, A, W) complex
         Harmonics 3 and 5 of the stress over γ0.
     linear : (W,) complex
-        G*(ω) of the linear response with inertia.
+        G*(ω) of the linear response with inertia. In the engine the contact point of a law that rolls is at ρi r/σ
+        (VOT eq. 6), so G* differs from it by some overlaps, even at small amplitudes.
     heat : (A, W)
         Energy that is dissipated in the last cycle, over the area: πγ0²G″ if the cycle is periodic.
     changes : (A, W)
@@ -86,24 +86,23 @@ class Oscillations(Result):
 
     @property
     def departure(self) -> Array:
-        """|G* − G*(γ0 → 0)|/|G*(γ0 → 0)|, (A, W)."""
-        return np.asarray(np.abs(self.values / self.linear - 1))
+        """|G*/G*(smallest γ0) − 1|, (A, W)."""
+        return np.asarray(np.abs(self.values / self.values[self.amplitude.argmin()] - 1))
 
     @property
     def onset(self) -> Array:
-        """γ†, (W,): the amplitude from which on G* departs by a tenth from the linear response.
+        """γ†, (W,): the amplitude from which on G* departs by a tenth from that at the smallest amplitude.
 
-        Interpolated in the logarithms of both; NaN if it does not depart, or does so at every amplitude.
+        Interpolated in the logarithms of both; NaN if it does not depart.
         """
         found = np.full(len(self.omega), np.nan)
         order = np.argsort(self.amplitude)
-        x, y = np.log(self.amplitude[order]), np.log(np.maximum(self.departure[order], 1e-300))
-        for w in range(len(found)):
-            above = y[:, w] > np.log(DEPARTS)
-            first = len(above) - int((~above[::-1]).argmax()) if not above.all() else 0  # of the last ones above
-            if 0 < first < len(above):
-                a, b = y[first - 1, w], y[first, w]
-                found[w] = np.exp(x[first - 1] + (np.log(DEPARTS) - a) / (b - a) * (x[first] - x[first - 1]))
+        x, y = np.log(self.amplitude[order]), np.log(np.maximum(self.departure[order], 1e-300) / DEPARTS)
+        for w, column in enumerate(y.T):
+            within = np.flatnonzero(column <= 0)[-1]
+            if within + 1 < len(x):
+                a, b = column[within : within + 2]
+                found[w] = np.exp(x[within] - a / (b - a) * (x[within + 1] - x[within]))
         return found
 
     def row(self) -> dict[str, float | str]:
@@ -141,7 +140,14 @@ class Units(NamedTuple):
 
     @classmethod
     def of(cls, packing: Packing, mass: float) -> Units:
-        """Return the units for disks of a ``mass``, in kτ1²: kd = kτ1 in the engine, and its mass is 1."""
+        """Return the units: in the engine the mass is 1, and kd is kτ1.
+
+        Parameters
+        ----------
+        packing : Packing
+        mass : float
+            Of every disk, kτ1².
+        """
         stress = float((2 * packing.radii.min()) ** 2) if packing.potential.relative else 1.0
         Q = float(np.sqrt(mass / stress))
         return cls(Q, stress, stress * Q)
@@ -258,7 +264,7 @@ def _measured(
                 float(cost @ list(parts.values()) / cost.sum()), f"γ0 = {task.amplitude:.3g}, ω = {task.omega:.3g}"
             )
 
-    def steps(task: Task) -> Iterator[Advance]:
+    def steps(task: Task) -> Steps:
         """All cycles but the last from the packing, then the last."""
         omega = units.rate * task.omega
         longest = Model.of(law, units.Q, potential=packing.potential).step(None, "heun")

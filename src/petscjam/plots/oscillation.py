@@ -42,9 +42,9 @@ def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
             moduli.plot(r.omega, row.imag, "s", ms=5, color=colour(a, gammas), mfc="white")
         up = np.argsort(r.amplitude)
         for w, omega in enumerate(r.omega):
-            style, marker = colour(omega, omegas), MARKERS[omegas.index(omega) % len(MARKERS)]
+            shade, marker = colour(omega, omegas), MARKERS[omegas.index(omega) % len(MARKERS)]
             label = rf"$\omega\tau_1$ = {omega:.2g}" if k == 0 else None
-            x, line = r.amplitude[up], {"color": style, "lw": 0.8, "ms": 5}
+            x, line = r.amplitude[up], {"color": shade, "lw": 0.8, "ms": 5}
             ratio.plot(x, (r.values[up, w] / r.linear[w]).real, f"{marker}-", label=label, **line)
             higher.plot(x, np.abs(r.higher[0, up, w] / r.values[up, w]), f"{marker}-", label=label, **line)
             higher.plot(x, np.abs(r.higher[1, up, w] / r.values[up, w]), f"{marker}--", mfc="white", **line)

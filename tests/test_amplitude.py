@@ -1,0 +1,148 @@
+"""Oscillations of a packing at finite amplitude: the linear limit, closed forms, units, and the verb."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import jammed, triangular_lattice
+
+import petscjam as pj
+from petscjam.analysis.oscillation import Oscillations, oscillate
+from petscjam.cli import main
+from petscjam.io.results import read_results
+from petscjam.rows.damping import ContactDamping, StokesDrag
+
+pytestmark = pytest.mark.parallel(nprocs=1)
+CENTRES = ContactDamping(beta=0.3, rotations=False)
+
+
+@pytest.fixture(scope="module")
+def packing():
+    return jammed(2e-2, 32, 3, shear_stabilised=True)
+
+
+@pytest.mark.parametrize("law", [CENTRES, StokesDrag(1.0)], ids=str)
+def test_small_amplitudes_have_the_linear_modulus_with_inertia(packing, law):
+    """A periodic cycle returns all disks, and dissipates πγ0²G″."""
+    r = oscillate(packing, [1e-6], [0.3, 1.0], mass=0.5, cycles=16, damping=law)
+    assert np.abs(r.values / r.linear - 1).max() < 2e-3
+    assert r.returns.max() < 1e-3
+    assert (r.changes == 0).all()
+    assert np.pi * r.amplitude[:, None] ** 2 * r.values.imag == pytest.approx(r.heat, rel=5e-3)
+    assert np.abs(r.higher).max() < 1e-3 * np.abs(r.values).max()
+
+
+def test_moduli_of_a_lattice_fall_as_its_bonds_turn():
+    """Bonds at 0° and 60° of a triangular lattice that moves affinely: σ(γ) in closed form, at any amplitude.
+
+    The first harmonic is its Fourier integral; at this compression no contact is lost.
+    """
+    lattice, gamma = triangular_lattice(6), 5e-3
+    r = oscillate(lattice, [gamma], [1e-3], cycles=4, damping=ContactDamping(beta=0.0, rotations=False))
+    phase = (np.arange(400) + 0.5) / 400 * 2 * np.pi
+    strain, size, area = gamma * np.sin(phase), 0.99, 0.99**2 * 0.75**0.5
+    stress = np.zeros_like(strain)
+    for angle in np.radians([0, 60, 120]):
+        x, y = size * np.cos(angle) + strain * size * np.sin(angle), size * np.sin(angle)
+        length = np.hypot(x, y)
+        stress += -np.maximum(1 - length, 0) * x * y / length / area
+    first, third = (2 / gamma * np.mean(stress * np.sin(n * phase)) for n in (1, 3))
+    assert r.values[0, 0].real == pytest.approx(first, rel=1e-3)
+    assert r.higher[0, 0, 0].real == pytest.approx(third, abs=1e-3 * first)
+
+
+def test_large_amplitudes_change_contacts_and_soften(packing):
+    r = oscillate(packing, [0.1, 1e-3, 3e-2, 1e-5], [0.1], cycles=5)
+    order = np.argsort(r.amplitude)
+    assert r.values[0, 0].real < 0.9 * r.values[3, 0].real
+    assert (np.diff(r.changes[order, 0]) >= 0).all()
+    assert r.changes[0, 0] > 0.1
+    assert 1e-3 < r.onset[0] < 0.1
+    assert r.departure[3, 0] == 0
+
+
+def made(values, amplitude):
+    """A result with these moduli."""
+    A, W = np.shape(values)
+    zeros = np.zeros((A, W))
+    packing = triangular_lattice(4)
+    origin = pj.viscosity(packing, prestress=False).origin
+    values = np.array(values, complex)
+    return Oscillations(
+        origin,
+        np.array(amplitude),
+        np.ones(W),
+        1.0,
+        4,
+        values,
+        zeros + 0j,
+        np.zeros((2, A, W)) + 0j,
+        values[0],
+        zeros,
+        zeros,
+        zeros,
+    )
+
+
+def test_the_onset_is_interpolated_in_the_logarithm():
+    """Departures 0.01 and 1 at 1e-3 and 1e-1: 0.1 at 1e-2. The last departure counts; NaN without one."""
+    r = made([[1.0, 1.0, 1.0], [0.99, 1.01, 2.0], [0.0, 1.05, 1.0]], [1e-5, 1e-3, 1e-1])
+    assert r.onset[0] == pytest.approx(1e-2)
+    assert np.isnan(r.onset[1:]).all()
+
+
+def test_results_do_not_depend_on_the_unit_of_length(packing):
+    """Of a harmonic packing k has no length; with relative overlaps stresses are in ke/length²."""
+    for name, stress in (("harmonic", 1.0), ("harmonic-relative", 2.4**2)):
+        given = jammed(2e-2, 32, 3, shear_stabilised=True, potential_name=name)
+        scaled = pj.Packing(2.4 * given.positions, 2.4 * given.radii, pj.Box(2.4 * given.box.cell), name)
+        a = oscillate(given, [1e-3], [0.3], cycles=4, damping=CENTRES)
+        b = oscillate(scaled, [1e-3], [0.3 / stress], cycles=4, damping=CENTRES, mass=stress)
+        assert b.values * stress == pytest.approx(a.values, rel=1e-6)
+        assert b.returns == pytest.approx(a.returns, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--amplitude 0", "0 is not above 0"),
+        ("--amplitude nan", "neither A:B:N nor a list"),
+        ("--amplitude 20", "must be from 1e-12 to 10, not 20"),
+        ("--mass 0", "must be from 1e-50 to 1e+50, not 0"),
+        ("--cycles 2", "must be a whole number from 3"),
+        ("--omega -1", "-1 is not above 0"),
+        ("--no-prestress", "pre-stress cannot be left out"),
+        ("--engine abacus", "no engine 'abacus'"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(packing, tmp_path, capsys, words, message):
+    file = tmp_path / "p.h5"
+    packing.write(file)
+    try:
+        status = main(["oscillate", str(file), *words.split(), "-o", str(tmp_path / "o.h5")])
+    except SystemExit as stop:
+        status = stop.code
+    assert status == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "o.h5").exists()
+
+
+def test_the_verb_writes_what_info_and_plot_show(packing, tmp_path, capsys):
+    file, out = tmp_path / "p.h5", tmp_path / "o.h5"
+    packing.write(file)
+    words = f"oscillate {file} --amplitude 1e-3,1e-2 --omega 1 --cycles 3 --mass 2 -o {out}"
+    assert main(words.split()) == 0
+    (r,) = read_results(out).values()
+    assert (r.mass, r.cycles) == (2.0, 3)
+    again = oscillate(packing, [1e-3, 1e-2], [1.0], cycles=3, mass=2.0)
+    assert r.values == pytest.approx(again.values, rel=1e-12)
+    capsys.readouterr()
+    assert main(["info", str(out)]) == 0
+    assert "onset" in capsys.readouterr().out
+    assert main(["plot", str(out), "-o", str(tmp_path / "o.png")]) == 0
+
+
+def test_a_packing_out_of_balance_is_sheared_with_a_word(packing):
+    moved = replace(packing, positions=packing.positions + 1e-3 * np.sin(np.arange(64)).reshape(32, 2))
+    r = oscillate(moved, [1e-3], [1.0], cycles=3)
+    assert any("not in balance" in note for note in r.notes)
