@@ -6,8 +6,8 @@ from .analysis.drag import equivalent_drag as equivalent_drag
 from .analysis.mode_sum import mode_sum as mode_sum
 from .analysis.mode_sum import rebuilt_response as rebuilt_response
 from .analysis.nonaffine import quasistatic_response as quasistatic_response
-from .analysis.statistics import average as average
 from .analysis.oscillation import oscillate as oscillate
+from .analysis.statistics import average as average
 from .analysis.viscosity import viscosity as viscosity
 from .base.errors import InputError as InputError
 from .base.errors import SolverError as SolverError
