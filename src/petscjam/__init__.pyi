@@ -8,6 +8,7 @@ from .analysis.mode_sum import rebuilt_response as rebuilt_response
 from .analysis.nonaffine import quasistatic_response as quasistatic_response
 from .analysis.oscillation import oscillate as oscillate
 from .analysis.statistics import average as average
+from .analysis.step_strain import step_strain as step_strain
 from .analysis.viscosity import viscosity as viscosity
 from .base.errors import InputError as InputError
 from .base.errors import SolverError as SolverError

@@ -58,6 +58,11 @@ KINDS = {
         "G*(omega) at finite amplitudes, by the disk engine, with harmonics and contact changes",
         "oscillate",
     ),
+    "steps": Kind(
+        "petscjam.analysis.step_strain:StepStrain",
+        "stress after a step of strain of any size, by the disk engine, with the linear G(t)",
+        "step-strain",
+    ),
     "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
 }
 PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"
