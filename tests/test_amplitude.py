@@ -118,11 +118,7 @@ def test_results_do_not_depend_on_the_unit_of_length(packing):
 def test_bad_input_is_refused_in_one_line(packing, tmp_path, capsys, words, message):
     file = tmp_path / "p.h5"
     packing.write(file)
-    try:
-        status = main(["oscillate", str(file), *words.split(), "-o", str(tmp_path / "o.h5")])
-    except SystemExit as stop:
-        status = stop.code
-    assert status == 2
+    assert main(["oscillate", str(file), *words.split(), "-o", str(tmp_path / "o.h5")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o.h5").exists()
 
