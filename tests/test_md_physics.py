@@ -36,6 +36,7 @@ OTHERS = {
     "power": {"potential": power_law(3.0, relative=False)},
     "cosh": {"potential": COSH},
     "drags": {"stokes_drag": 0.7, "rotational_drag": 0.05},
+    "film": {"drag_exponent": 0.6, "drag_speed": 2.0, "drag_cutoff": 0.05},
 }
 
 

@@ -25,7 +25,7 @@ runs = types.NamedTuple(arrays, card.Runs)
 potential = POTENTIALS[sys.argv[1] if sys.argv[1:] else "harmonic-relative"]
 for integrator in ("heun", "single"):
     for wide, threads in ((False, 512), (True, 512), (True, 1024)):
-        kernels = card.compiled(integrator, potential, wide, threads)
+        kernels = card.compiled(integrator, potential, True, wide, threads)
         for name, kernel in zip(("advance", "look"), kernels, strict=True):
             ptx, _ = cuda.compile(kernel.py_func, (runs,), device=False, abi="numba", cc=CC)
             with tempfile.TemporaryDirectory() as folder:

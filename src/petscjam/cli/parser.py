@@ -380,6 +380,12 @@ def disks(p: Parser) -> None:
     p.add_argument("--rotational-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
     text = "mass of every disk, in m; the friction coefficient m/(Q tau_e) does not change (default 1)"
     p.add_argument("--mass", type=Within(number, ranges.MASS), default=1.0, metavar="X", help=text)
+    text = "exponent alpha of nonlinear drag of contacts: force ~ v^X (BT eq. 9), up to 1 (default 1: linear)"
+    p.add_argument("--drag-exponent", type=Within(number, ranges.THINNING), default=1.0, metavar="X", help=text)
+    text = "speed at which nonlinear drag is the linear one, in ds/tau_e (default d Q, d the mean diameter)"
+    p.add_argument("--drag-speed", type=Within(number, ranges.SPEED), metavar="X", help=text)
+    text = "speed below which nonlinear drag is linear, in ds/tau_e (default 0.01 d times the strain rate)"
+    p.add_argument("--drag-cutoff", type=Within(number, ranges.SPEED), metavar="X", help=text)
     text = "threads of a run; useful from 10000 disks on (default 1)"
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
     text = "keep the angles by which the disks have turned: in the file and in the frames"

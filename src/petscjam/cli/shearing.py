@@ -71,6 +71,7 @@ def _work(options: argparse.Namespace, comm: Comm, protocol: Callable[[float], P
     from petscjam.plots.tables import describe_run
 
     names = "rescale start_bands integrator dt threads exponent stokes_drag rotational_drag mass angles row_time frames"
+    names += " drag_exponent drag_speed drag_cutoff"
     kind: Any = engine_of(options.engine)
     common = {name: getattr(options, name) for name in [*names.split(), "engine"]}
     alone = options.start[0] if len(options.start) == 1 else None

@@ -192,6 +192,7 @@ def _check_model(state: State, model: Model) -> None:
         (model.potential.name, model.potential.exponent == 2, "harmonic potentials only, not"),
         (model.body, model.body == 0, "no drag of disks on the affine flow, but there is"),
         (model.fluid, model.fluid == 0, "no viscosity of a fluid, but there is"),
+        (model.drag_exponent, model.drag_exponent == 1, "linear drag of contacts, but its exponent is"),
         (model.rotational_drag, model.rotational_drag == 0, "no drag on rotations, but there is"),
         (model.normal, model.normal > 0, "tangential damping only together with normal damping, which is"),
         (len(np.unique(state.radii)), len(np.unique(state.radii)) <= SIZES, f"up to {SIZES} radii, not"),

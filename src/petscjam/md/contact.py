@@ -12,10 +12,10 @@ from petscjam.base.compiled import call
 from petscjam.md.engine import BINS
 
 
-def contact(rx, ry, ux, uy, near, inverse, normal, tangential, exponent, absolute, dU):
-    """Return elastic force over distance, damping force on i, and 1 if they touch (VOT eqs. 1–5).
+def contact(rx, ry, ux, uy, near, inverse, normal, tangential, film, exponent, absolute, dU):
+    """Return elastic force over distance, damping force on i, and 1 if they touch (VOT eqs. 1–5; BT eq. 9).
 
-    The last three arguments select a branch when the function is compiled.
+    The last four arguments select a branch when the function is compiled.
 
     Parameters
     ----------
@@ -26,6 +26,8 @@ def contact(rx, ry, ux, uy, near, inverse, normal, tangential, exponent, absolut
         1/r and 1/σ.
     normal, tangential : float
         Friction coefficients, in m/τe.
+    film : (float, float, float) or None
+        p, a and b: the friction is multiplied by (a u² + b)^p. None: it is linear.
     exponent : float or None
         α; None: 2. With a power the loop does not vectorise.
     absolute : float or None
@@ -43,11 +45,26 @@ def contact(rx, ry, ux, uy, near, inverse, normal, tangential, exponent, absolut
     along = (normal - tangential) * (ux * rx + uy * ry) * near * near
     gx = touch * (tangential * ux + along * rx)
     gy = touch * (tangential * uy + along * ry)
+    if film is not None:
+        factor = (film[1] * (ux * ux + uy * uy) + film[2]) ** film[0]
+        gx *= factor
+        gy *= factor
     if absolute is None:
         spring *= inverse
     elif dU is None:
         spring /= inverse if exponent is None else inverse ** (exponent - 1.0)
     return spring * near, gx, gy, touch
+
+
+def largest(film):
+    """Return the largest factor of the friction.
+
+    Parameters
+    ----------
+    film : (float, float, float) or None
+        As in :func:`contact`.
+    """
+    return 1.0 if film is None else film[2] ** film[0]
 
 
 def stiffness(distance, inverse, exponent, absolute, d2U):

@@ -145,13 +145,14 @@ class CudaSimulation:
     @property
     def kind(self) -> tuple[Any, ...]:
         """What runs of a batch have in common."""
-        return len(self), self.integrator, self.model.potential
+        return len(self), self.integrator, self.model.potential, self.model.film is None
 
     @property
     def numbers(self) -> list[float]:
         """Its row of ``numbers`` (:mod:`petscjam.md.cuda_kernels`)."""
         law = self.model
         friction = [law.normal, law.tangential, float(law.rolls), law.body, law.rotational_drag]
+        friction += law.film or (0.0, 0.0, 1.0)
         return [self.length, self.height, self.skin, 2 * float(self.R.max()), self.dt / self.parts, *friction]
 
     @property

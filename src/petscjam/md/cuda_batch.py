@@ -81,7 +81,7 @@ class Batch:
         self.threads = min(-(-(-(-n // cores) if run.wide else n) // 32) * 32, most)
         self.blocks = min(-(-n // self.threads), cores) if run.wide else 1
         self.potential = run.model.potential
-        self.advance, self.look = card.compiled(run.integrator, self.potential, run.wide, most)
+        self.advance, self.look = card.compiled(run.integrator, self.potential, run.model.film is None, run.wide, most)
         self.runs: list[Simulated] = [None] * places
         self.sizes = {"R": places, "N": n, "M": n, "C": 8, "B": self.blocks, "L": STRETCH + 1}
         self.sizes |= {"T": self.threads * self.blocks, "S": 10 * n if run.wide else 1}

@@ -43,7 +43,7 @@ from petscjam.md.engine import (
 REGISTERS = 65536  # of a multiprocessor
 SIMULATED: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
 # Numbers of a run
-(LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG) = range(10)
+(LX, LY, SKIN, REACH, DT, NORMAL, TANGENTIAL, ROLLS, BODY, DRAG, FILM) = range(11)
 # Integers of a launch: parts of steps to make (-1: no launch for this run), parts of a step, effect of a change of the
 # rate, tick of the start, columns and rows of cells, whether contacts are those of the lists (1) or of ``open``,
 # whether the sums at the start are counted already, and whether angles are kept.
@@ -71,7 +71,7 @@ PLACES = 32  # of a list of neighbours
 # in them. s: what forces are computed from, if it is not in shared memory.
 AXES = {
     "f8": "now: R 5N, q: R 5N, F: R 3N, R: R N, m: R N, light: R N, home: R 2N, angle: R N, stress: R 3N, "
-    f"inverse: R 32N, built: R 3, numbers: R 10, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
+    f"inverse: R 32N, built: R 3, numbers: R 13, course: R 2 L, s: R S, part: R {LOOKED} T, sums: R B {LOOKED}",
     "f4": "gap: R 32N",
     "i8": f"since: R 32N, began: 32 R N, angles: R 2 {BINS}, duration: R 1, orders: R 9, done: R 7, "
     "key: R T, keys: R B",
@@ -87,13 +87,16 @@ Runs: Any = namedtuple("Runs", list(SHAPES))  # type: ignore[misc]
 
 
 class Law(NamedTuple):
-    """Friction coefficients, and whether disks roll."""
+    """Friction coefficients, whether disks roll, and ``film`` of :func:`petscjam.md.contact.contact`."""
 
     normal: float
     tangential: float
     rolls: float
     body: float
     drag: float
+    power: float
+    scale: float
+    cutoff: float
 
 
 class Cell(NamedTuple):
@@ -151,6 +154,21 @@ def _lists_of(runs, run):
 
 
 @_device
+def law_of(numbers):
+    """Return the law of a run."""
+    return Law(
+        numbers[NORMAL],
+        numbers[TANGENTIAL],
+        numbers[ROLLS],
+        numbers[BODY],
+        numbers[DRAG],
+        numbers[FILM],
+        numbers[FILM + 1],
+        numbers[FILM + 2],
+    )
+
+
+@_device
 def image(code):
     """Return the column and the row of the image of a neighbour."""
     return short((code >> IMAGES & 7) - 4), short((code >> IMAGES + 3) - 1)
@@ -166,13 +184,15 @@ def _separation(code, a, s, at, cell):
 
 
 @cache
-def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple[Any, Any]:
+def compiled(integrator: str, potential: Any, linear: bool, wide: bool, threads: int) -> tuple[Any, Any]:
     """Return the kernels ``advance`` and ``look``.
 
     Parameters
     ----------
     integrator : str
     potential : Potential
+    linear : bool
+        Whether the drag of contacts is linear.
     wide : bool
         One run by all blocks, with barriers across the grid; otherwise one run by each block.
     threads : int
@@ -198,11 +218,22 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 return 1.0 * call_dU(x)
             return 1.0 * call_d2U(x)
 
-    def law_of(function: Any) -> Any:
+    def on_card(function: Any) -> Any:
         return _device(FunctionType(function.__code__, {**function.__globals__, "call": call}))
 
-    contact, stiffness, energy = law_of(laws.contact), law_of(laws.stiffness), law_of(laws.energy)
-    angle_bin, fastest = law_of(laws.angle_bin), law_of(laws.fastest)
+    contact, stiffness, energy = on_card(laws.contact), on_card(laws.stiffness), on_card(laws.energy)
+    angle_bin, fastest, largest = on_card(laws.angle_bin), on_card(laws.fastest), on_card(laws.largest)
+
+    if linear:
+
+        @_device
+        def film_of(law):
+            return None
+    else:
+
+        @_device
+        def film_of(law):
+            return law.power, law.scale, law.cutoff
 
     if wide:
 
@@ -255,7 +286,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 turn = law.rolls * (w + s[j + 4]) * i1
                 ux, uy = s[j + 2] - u + slide + turn * ry, s[j + 3] - v - turn * rx
                 spring, gx, gy, _ = contact(
-                    rx, ry, ux, uy, rsqrt(r2), i1, law.normal, law.tangential, exponent, absolute, dU
+                    rx, ry, ux, uy, rsqrt(r2), i1, law.normal, law.tangential, film_of(law), exponent, absolute, dU
                 )
                 fx += gx - spring * rx
                 fy += gy - spring * ry
@@ -405,7 +436,9 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                 s[6] += w * x
                 s[7] += w * y
                 s[8] += w * square
-        return fastest(s, runs.m[run, a], runs.R[run, a], law.normal, law.tangential, law.rolls, law.body, law.drag)
+        most = largest(film_of(law))
+        normal, tangential = law.normal * most, law.tangential * most
+        return fastest(s, runs.m[run, a], runs.R[run, a], normal, tangential, law.rolls, law.body, law.drag)
 
     @_device
     def demand(relaxation, oscillation, dt):
@@ -494,7 +527,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
             _lists_of(runs, run),
             runs.angles[run],
         )
-        law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
+        law = law_of(numbers)
         n, dt, parts, ticks = index(len(R)), numbers[DT], orders[PARTS], TICKS // orders[PARTS]
         exx = exy = eyy = dxx = dxy = dyx = dyy = touching = heat = kxx = kxy = kyy = work = jumps = 0.0
         duration = k = builds = turn = at = 0
@@ -633,7 +666,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
         if orders[END] < 0:
             return
         now, R, m, lists, rate = runs.now[run], runs.R[run], runs.m[run], _lists_of(runs, run), runs.course[run, 1, 0]
-        law = Law(numbers[NORMAL], numbers[TANGENTIAL], numbers[ROLLS], numbers[BODY], numbers[DRAG])
+        law = law_of(numbers)
         cell, tick = _cell_of(numbers, runs.course[run, 0, 0], runs.built[run, 2], rate), orders[TICK]
         stress, n = runs.stress[run], index(len(R))
         sums, v, least = cuda.local.array(LOOKED, float64), cuda.local.array(4, float64), NONE
@@ -651,7 +684,7 @@ def compiled(integrator: str, potential: Any, wide: bool, threads: int) -> tuple
                     turn = law.rolls * (now[5 * a + 4] + now[5 * j + 4]) * inverse
                     wx, wy, near = ux + turn * y, uy - turn * x, 1.0 / r
                     spring, gx, gy, _ = contact(
-                        x, y, wx, wy, near, inverse, law.normal, law.tangential, exponent, absolute, dU
+                        x, y, wx, wy, near, inverse, law.normal, law.tangential, film_of(law), exponent, absolute, dU
                     )
                     pxx, pxy = pxx + (spring * x - gx) * x, pxy + (spring * x - gx) * y
                     pyy += (spring * y - gy) * y

@@ -49,11 +49,12 @@ class Law(NamedTuple):
 
     An exponent of 2 is given as None: with a power the loop does not vectorise. ``absolute`` is 1 if overlaps
     are absolute, None if they are relative to σ. ``U``, ``dU`` and ``d2U`` are addresses
-    (:class:`petscjam.geometry.potential.Compiled`).
+    (:class:`petscjam.geometry.potential.Compiled`). ``film``: :func:`petscjam.md.contact.contact`.
     """
 
     normal: float
     tangential: float
+    film: tuple[float, float, float] | None
     rolls: float
     exponent: float | None
     absolute: float | None
@@ -117,6 +118,7 @@ _contact = njit(cache=True, error_model="numpy", fastmath=FAST)(contact.contact)
 _angle_bin = njit(cache=True, error_model="numpy", fastmath=FAST)(contact.angle_bin)
 _stiffness = njit(cache=True, error_model="numpy")(contact.stiffness)
 _energy = njit(cache=True, error_model="numpy")(contact.energy)
+_largest = njit(cache=True, error_model="numpy")(contact.largest)
 _fastest = njit(cache=True, error_model="numpy")(contact.fastest)
 
 
@@ -185,7 +187,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
     X, Y, U, V, W = np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH), np.empty(BATCH)
     exx = exy = eyy = dxx = dxy = dyx = dyy = count = heat = 0.0
     rest, sums, normal, tangential = len(pairs.chunks) - 1, measured.sums, law.normal, law.tangential
-    exponent, absolute, dU = law.exponent, law.absolute, law.dU
+    film, kind = law.film, (law.exponent, law.absolute, law.dU)
     end = len(pairs.i) if chunk == rest else pairs.chunks[chunk + 1]
     for start in range(pairs.chunks[chunk], end, BATCH):
         n = min(BATCH, end - start)
@@ -204,7 +206,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
                 spring, gx, gy, touch = _contact(
-                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, exponent, absolute, dU
+                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, film, *kind
                 )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c], V[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx), touch
@@ -219,7 +221,7 @@ def _add_pairs(chunk, q, F, pairs, law, now, measure, measured):
                 x, y, turn = X[c], Y[c], law.rolls * W[c] * inverse[c]
                 ux, uy = U[c] + turn * y, V[c] - turn * x
                 spring, gx, gy, touch = _contact(
-                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, exponent, absolute, dU
+                    x, y, ux, uy, 1.0 / np.sqrt(x * x + y * y), inverse[c], normal, tangential, film, *kind
                 )
                 X[c], Y[c] = gx - spring * x, gy - spring * y
                 U[c] = 2.0 * law.rolls * inverse[c] * (x * gy - y * gx)
@@ -602,6 +604,8 @@ def fastest(disks, pairs, law, exponent, strain):
     """
     s, relaxation, oscillation = _moments(disks.q, pairs, law, exponent, strain), 0.0, 0.0
     normal, tangential, rolls, body, drag = law.normal, law.tangential, law.rolls, law.body, law.rotational_drag
+    largest = _largest(law.film)
+    normal, tangential = normal * largest, tangential * largest
     for a in range(len(s)):
         most = _fastest(s[a], disks.m[a], disks.R[a], normal, tangential, rolls, body, drag)
         relaxation, oscillation = max(relaxation, most[0]), max(oscillation, most[1])
@@ -686,7 +690,7 @@ def sample_contacts(q, pairs, law, now, layers, moments, scatter, sums):
             v[2] = v[0] + v[1]
             v[3] = -(vx * x + vy * y) / r
             turn = law.rolls * v[1] / r
-            friction, kind = (law.normal, law.tangential), (law.exponent, law.absolute, law.dU)
+            friction, kind = (law.normal, law.tangential, law.film), (law.exponent, law.absolute, law.dU)
             spring, gx, gy, _ = _contact(
                 x, y, vx + turn * y, vy - turn * x, 1.0 / r, pairs.inverse[c], *friction, *kind
             )

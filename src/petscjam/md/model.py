@@ -30,6 +30,7 @@ STEP = 0.05  # τe for a mass of 1, VOT sec. II D
 ACCURATE = {"heun": (0.12, 0.25), "single": (0.12, 0.2)}
 # Names in the file of a run, and of the fields.
 STORED = {"drag": "stokes_drag", "spin_drag": "rotational_drag", "mass": "mass"}
+STORED |= {name: name for name in ("drag_exponent", "drag_speed", "drag_cutoff")}
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,11 @@ class Model:
         Stokes drag, in m/τe and m ds²/τe: −ζ(v − γ̇ y x̂) on a disk and −ζr(θ̇ + γ̇/2) on its rotation.
     mass : float
         Of every disk, in m; its moment of inertia is mass R²/2.
+    drag_exponent : float
+        α of nonlinear drag of contacts: the friction is multiplied by [(v² + ε²)/w²]^((α − 1)/2), where v is the
+        relative velocity at which the law acts (BT eq. 9 with w = ρ0/τ1).
+    drag_speed, drag_cutoff : float
+        w and ε, in ds/τe.
 
     Raises
     ------
@@ -61,6 +67,9 @@ class Model:
     stokes_drag: float = 0.0
     rotational_drag: float = 0.0
     mass: float = 1.0
+    drag_exponent: float = 1.0
+    drag_speed: float = 1.0
+    drag_cutoff: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value, known in (
@@ -68,6 +77,9 @@ class Model:
             ("stokes_drag", self.stokes_drag, ranges.DRAG),
             ("rotational_drag", self.rotational_drag, ranges.DRAG),
             ("mass", self.mass, ranges.MASS),
+            ("drag_exponent", self.drag_exponent, ranges.THINNING),
+            ("drag_speed", self.drag_speed, ranges.SPEED),
+            ("drag_cutoff", self.drag_cutoff, ranges.SPEED if self.drag_exponent != 1 else ranges.DRAG),
         ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
@@ -137,6 +149,13 @@ class Model:
         return self.law.tangential / self.Q
 
     @property
+    def film(self) -> tuple[float, float, float] | None:
+        """Numbers of nonlinear drag (:func:`petscjam.md.contact.contact`); None: it is linear."""
+        if self.drag_exponent == 1:
+            return None
+        return (self.drag_exponent - 1) / 2, self.drag_speed**-2, (self.drag_cutoff / self.drag_speed) ** 2
+
+    @property
     def rolls(self) -> bool:
         """Whether the tangential velocity is taken at the contact point."""
         return self.law.at_contact_point
@@ -164,7 +183,8 @@ class Model:
     @property
     def _pair(self) -> tuple[float, float]:
         """Rates of relaxation of the normal and the tangential velocity of two disks that touch."""
-        return 2 * self.normal / self.mass, (6 if self.rolls else 2) * self.tangential / self.mass
+        most = 1.0 if self.film is None else self.film[2] ** self.film[0]
+        return 2 * most * self.normal / self.mass, (6 if self.rolls else 2) * most * self.tangential / self.mass
 
     def step(self, dt: float | None, integrator: str) -> float:
         """Return the time step, checked.

@@ -67,7 +67,7 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
     The fit contains the mean and all harmonics up to the largest of ``orders``, at least 5, each averaged over the
     time of a row, because rows are averages. In the rows the damping of the affine motion is half a time step early
     (with one evaluation a step: late), because the rate changes from step to step; this changes G′ by −ω² η∞ dt/2
-    (+), with the viscosity η∞ of the affine motion, and is corrected with η∞ of the last state.
+    (+), with the viscosity η∞ of the affine motion, and is corrected with η∞ of the last state, if the drag is linear.
 
     Parameters
     ----------
@@ -113,6 +113,8 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
 def _affine_viscosity(run: Run) -> float:
     """Return Σ ry² (kn nx² + kt ny²)/V over the contacts of the last state: the stress of the affine motion over γ̇."""
     state, model = run.state, run.settings.model
+    if model.film is not None:
+        return 0.0
     x, y = pairs(state.box, state.positions, state.radii)[2].T
     return float(np.sum(y**2 * (model.normal * x**2 + model.tangential * y**2) / (x**2 + y**2)) / state.area)
 

@@ -40,6 +40,7 @@ from petscjam.rows.damping import DampingLaw
 # An engine with dependencies of its own is a name, and imported when it is asked for.
 ENGINES: dict[str, type[Engine] | str] = {"cpu": Simulation, "cuda": "petscjam.md.cuda.CudaSimulation"}
 ROW_COUNT, LEAST = 1000, 50  # rows of a run, and smallest number of steps of a row
+CUTOFF = 0.01  # ε of nonlinear drag, in d|γ̇|
 PER_PERIOD = 32  # rows of a period, at least
 BUILD = ("version", "numba", "processor")  # settings that change only the last bits
 OWN = ("threads", "cycles", *BUILD)  # settings that a resumed run may change
@@ -90,7 +91,7 @@ def shear(
         File of the run (HDF5), complete at every moment.
     **options
         As for :func:`run`: rescale, start_bands, integrator, threads, exponent, stokes_drag, rotational_drag,
-        mass, angles, row_time, resume, overwrite, progress, frames.
+        mass, drag_exponent, drag_speed, drag_cutoff, angles, row_time, resume, overwrite, progress, frames.
 
     Returns
     -------
@@ -159,6 +160,9 @@ def begin(
     stokes_drag: float = 0.0,
     rotational_drag: float = 0.0,
     mass: float = 1.0,
+    drag_exponent: float = 1.0,
+    drag_speed: float | None = None,
+    drag_cutoff: float | None = None,
     angles: bool = False,
     row_time: float | None = None,
     resume: bool = False,
@@ -191,6 +195,11 @@ def begin(
         Stokes drag on disks and on their rotation, in m/τe and m ds²/τe.
     mass : float
         Of every disk, in m. Q stays m/(kd τe) with the unit m of mass, so mass does not change kd = 1/Q.
+    drag_exponent : float
+        α ∈ (0, 1] of nonlinear drag of contacts: the friction is multiplied by [(v² + ε²)/w²]^((α − 1)/2) (BT eq. 9).
+    drag_speed, drag_cutoff : float
+        w and ε of nonlinear drag, in ds/τe; default: w = dQ, BT's ρ0/τ1 with the mean diameter d, and ε = 0.01 d|γ̇|
+        with the first (of an oscillation, largest) strain rate. A smaller ε needs smaller time steps.
     angles : bool
         Keep the angles by which the disks have turned, in radians: in the state, the file and the frames.
     row_time : float
@@ -232,6 +241,11 @@ def begin(
         if exponent is not None:
             potential = power_law(exponent, potential.relative)
         drags = {"stokes_drag": stokes_drag, "rotational_drag": rotational_drag}
+        if drag_exponent != 1:
+            d = 1.2 if first is None else 2 * float(first.radii.mean())
+            slow = CUTOFF * d * abs(protocol.settings["rate"])
+            drags |= {"drag_exponent": drag_exponent, "drag_speed": d * Q if drag_speed is None else drag_speed}
+            drags |= {"drag_cutoff": slow if drag_cutoff is None else drag_cutoff}
         law = Model.of(model, Q, potential=potential, mass=mass, **drags)
         dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
         total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)

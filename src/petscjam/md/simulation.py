@@ -90,6 +90,7 @@ class Simulation:
         self._law = Law(
             model.normal,
             model.tangential,
+            model.film,
             float(model.rolls),
             exponent,
             absolute,

@@ -105,6 +105,9 @@ def contacts(state, model):
             s_ji, s_ij = 0 * r, 0 * r
         slip = v + wi * turned(s_ji) - wj * turned(s_ij)
         dissipative = -model.normal * (slip @ normal) * normal - model.tangential * (slip @ tangent) * tangent
+        if model.drag_exponent != 1:
+            speed = hypot(*slip, model.drag_cutoff)
+            dissipative = dissipative * (speed / model.drag_speed) ** (model.drag_exponent - 1)
         torques = cross(s_ji, dissipative), cross(s_ij, -dissipative)
         yield Contact(i, j, r, v, elastic, dissipative, *torques, -dissipative @ slip)
 
