@@ -1,4 +1,5 @@
 from . import md as md
+from .analysis.aqs import aqs as aqs
 from .analysis.contact_drag import self_consistent_drag as self_consistent_drag
 from .analysis.correlations import correlations as correlations
 from .analysis.density import density_of_states as density_of_states

@@ -64,6 +64,10 @@ KINDS = {
         "step-strain",
     ),
     "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
+    "aqs": Kind(
+        "petscjam.analysis.aqs:ShearPath",
+        "athermal quasi-static shear: stress, contacts, instabilities, every event located to 1e-10 in strain",
+    ),
 }
 PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"
 

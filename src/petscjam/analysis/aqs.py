@@ -1,0 +1,402 @@
+"""Athermal quasi-static shear: a packing stays in a minimum of its energy while its cell is sheared.
+
+The cell has the deformation gradient F = 1 + γ e_x e_yᵀ, at constant area. The next state starts from the tangent
+response du/dγ of the last one, and its energy is minimised. The tangent response also predicts the strain at which the
+first contact opens or closes: no step goes much further, so that changes are met one by one, as in van Deen et al.,
+Phys. Rev. E 90, 020202. A change is bracketed to 1e-10 in strain.
+
+Axes: s state, e event, x change of a contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from numbers import Real
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petscjam.base import ranges
+from petscjam.base.arguments import Within, integer, number
+from petscjam.base.errors import InputError, SolverError, shown
+from petscjam.base.interrupt import deferred
+from petscjam.base.progress import Report
+from petscjam.base.types import Array, Integers
+from petscjam.geometry.network import ContactNetwork
+from petscjam.geometry.neighbours import pairs
+from petscjam.geometry.packing import Packing
+from petscjam.parallel.comm import Comm, agree, on_root, resolve
+from petscjam.preparation.certify import certify, elastic_tensor
+from petscjam.preparation.prepare import relax_packing
+from petscjam.response.origin import Judged, Verb, stored
+from petscjam.response.problem import LinearProblem, describe
+from petscjam.rows.kinematics import SIMPLE_SHEAR
+
+RESOLUTION = 1e-10  # in strain, of an event
+BEYOND = 1.01  # length of a step, in units of the predicted strain to the next event
+XY = 1  # of F, in the order of :func:`petscjam.preparation.certify.elastic_tensor`
+SAME = 1e-3  # of the mean overlap: largest distance of disks in the same minimum
+
+
+@dataclass(frozen=True, eq=False)
+class ShearPath(Judged):
+    """States of a packing under athermal quasi-static shear, and events between them. Units: stress k or ke/d².
+
+    States are kept at multiples of the step and on both sides of every event, which are at most 1e-10 of strain apart.
+    ``negative_modes`` and ``zero_modes`` are those of the first state.
+
+    Attributes
+    ----------
+    gamma : (S,)
+        Strain γ, measured in the cell of the packing.
+    stress, pressure : (S,)
+        Shear stress σ_xy = dU/dγ/V, and pressure.
+    contacts, Z : (S,)
+        Number of contacts of the backbone, and contacts of a disk of it.
+    modulus : (S,)
+        Tangent modulus dσ_xy/dγ, with pre-stress.
+    eigenvalue : (S,)
+        Lowest eigenvalue of K; NaN if unknown.
+    net_force : (S,)
+        Largest net force on a disk, p·d.
+    proved : (S,) bool
+        Whether the certificate proves a minimum.
+    events : (E,)
+        The state before each event; the next one is that after it.
+    reversible : (E,) bool
+        Whether the state before is restored when the strain goes back. If not, the event is an instability.
+    changes : (X, 4)
+        Event, disks i and j, and 1 for a contact that is made, −1 for one that is lost.
+    geometry : Packing
+        The last state, with which the path can be continued.
+    """
+
+    gamma: Array = field(metadata=stored("1", "S", finite=True))
+    stress: Array = field(metadata=stored("stress", "S", finite=True))
+    pressure: Array = field(metadata=stored("stress", "S", finite=True))
+    contacts: Integers = field(metadata=stored("1", "S"))
+    Z: Array = field(metadata=stored("1", "S", finite=True))
+    modulus: Array = field(metadata=stored("stress", "S", finite=True))
+    eigenvalue: Array = field(metadata=stored("stiffness", "S"))
+    net_force: Array = field(metadata=stored("pressure*diameter", "S", finite=True))
+    proved: NDArray[np.bool_] = field(metadata=stored(axes="S"))
+    events: Integers = field(metadata=stored(axes="E"))
+    reversible: NDArray[np.bool_] = field(metadata=stored(axes="E"))
+    changes: Integers = field(metadata=stored(axes="X 4"))
+    geometry: Packing
+    units: ClassVar[str] = "moduli and stresses in k; changes: of contacts, made + lost, at reversible events"
+    figure: ClassVar[str] = "petscjam.plots.aqs:path_figure"
+    exports: ClassVar[str] = "petscjam.io.paths:export_path"
+
+    @property
+    def G0(self) -> float:
+        """Tangent modulus of the first state."""
+        return float(self.modulus[0])
+
+    @property
+    def drop(self) -> Array:
+        """Decrease of |σ_xy| along the path at each event, (E,)."""
+        return (self.stress[self.events] - self.stress[self.events + 1]) * self.sign
+
+    @property
+    def sign(self) -> float:
+        """1 if the strain increases, −1 if it decreases."""
+        return float(np.sign(self.gamma[-1] - self.gamma[0])) or 1.0
+
+    def count(self, change: int) -> Integers:
+        """Return the number of contacts that are made (``change`` = 1) or lost (−1) at each event, (E,)."""
+        which = self.changes[self.changes[:, 3] == change, 0]
+        return np.bincount(which, minlength=len(self.events))
+
+    def kind(self, event: int) -> str:
+        """Return ``made``, ``lost`` or ``made and lost``, or ``instability``, for an event."""
+        if not self.reversible[event]:
+            return "instability"
+        there = [name for name, change in (("made", 1), ("lost", -1)) if self.count(change)[event]]
+        return " and ".join(there)
+
+    def row(self) -> dict[str, float | str]:
+        """Return its line of the table."""
+        kept = self.reversible
+        unstable = self.drop[~kept]
+        return {
+            "strain": float(self.gamma[-1]),
+            "first event": float(self.gamma[self.events[0]]) if len(self.events) else "—",
+            "changes": f"{self.count(1)[kept].sum()} + {self.count(-1)[kept].sum()}",
+            "instabilities": f"{len(unstable)}",
+            "largest drop": float(unstable.max()) if len(unstable) else "—",
+            "largest stress": float(np.abs(self.stress).max()),
+            "G0": self.G0,
+            "proved": f"{self.proved.sum()} of {len(self.proved)}",
+            "state": self.state,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A minimum of the energy, with its certificate, at the strain ``sign``·``way``."""
+
+    packing: Packing
+    way: float
+    sign: float
+
+    @property
+    def strain(self) -> float:
+        """γ."""
+        return self.sign * self.way
+
+    @cached_property
+    def network(self) -> ContactNetwork:
+        """Contacts of the backbone."""
+        return ContactNetwork.of(self.packing).without_rattlers()
+
+    @cached_property
+    def contacts(self) -> dict[tuple[int, int], int]:
+        """Number of contacts of each pair of disks of the backbone: more than one through several images."""
+        found = np.stack([self.network.i, self.network.j], axis=1)
+        pair, number = np.unique(found, axis=0, return_counts=True)
+        return {(int(i), int(j)): int(n) for (i, j), n in zip(pair, number, strict=True)}
+
+    @cached_property
+    def tangent(self) -> tuple[float, Array]:
+        """dσ_xy/dγ, and the non-affine du/dγ of all disks, (N, 2): zero mean on the backbone, 0 for rattlers."""
+        C, u = elastic_tensor(self.network)
+        motion = np.zeros((len(self.packing), 2))
+        motion[self.network.backbone] = u[..., XY] - u[..., XY].mean(0)
+        return float(C[XY, XY]), motion
+
+    def moved(self, start: Packing, way: float) -> Packing:
+        """Return the packing at ``way`` by the tangent response; ``start`` has the cell at γ = 0."""
+        change = self.sign * (way - self.way)
+        x = self.packing.positions + change * self.tangent[1]
+        x[:, 0] += change * self.packing.positions[:, 1]
+        F = np.array([[1.0, self.sign * way], [0.0, 1.0]])
+        return replace(self.packing, positions=x, box=start.box.deformed(F))
+
+    def gaps(self, i: Integers, j: Integers, r: Array) -> tuple[Array, Array]:
+        """Return gaps r − ρi − ρj of pairs, and their derivatives along the path by the tangent response, (C,) each."""
+        distance, u = np.hypot(r[:, 0], r[:, 1]), self.tangent[1]
+        rate = u[j] - u[i]
+        rate[:, 0] += r[:, 1]
+        return distance - self.packing.radii[i] - self.packing.radii[j], self.sign * (rate * r).sum(1) / distance
+
+    @cached_property
+    def predicted(self) -> float:
+        """The way at which the first contact of the backbone opens or closes by the tangent response."""
+        i, j, r = pairs(self.packing.box, self.packing.positions, self.packing.radii, 0.3 * self.packing.mean_diameter)
+        inside = self.network.backbone[i] & self.network.backbone[j]
+        gap, rate = self.gaps(i[inside], j[inside], r[inside])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = np.where(gap * rate < 0, -gap / rate, np.inf)
+        return self.way + float(left.min(initial=np.inf))
+
+    def meets(self, changed: list[tuple[int, int]]) -> float:
+        """Return the first way at which a pair of ``changed`` opens or closes by the tangent response."""
+        i, j = np.array(changed).T
+        gap, rate = self.gaps(i, j, self.packing.box.minimum_image(self.packing.positions[j] - self.packing.positions[i]))
+        left = -gap[rate != 0] / rate[rate != 0]
+        return self.way + float(left[left > 0].min(initial=np.inf))
+
+
+def _changes(a: _State, b: _State) -> dict[tuple[int, int], int]:
+    """Return the pairs that have more (positive) or fewer contacts in ``b`` than in ``a``."""
+    change = {pair: b.contacts.get(pair, 0) - a.contacts.get(pair, 0) for pair in {**a.contacts, **b.contacts}}
+    return {pair: n for pair, n in sorted(change.items()) if n}
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The path of a packing: ``start`` has the cell at γ = 0."""
+
+    start: Packing
+
+    def state(self, before: _State, way: float) -> _State:
+        """Return the state at ``way`` that follows ``before``."""
+        packing = relax_packing(replace(before.moved(self.start, way), provenance={}))
+        return replace(before, packing=packing, way=way)
+
+    def located(self, a: _State, b: _State) -> tuple[_State, _State]:
+        """Bracket the first change of the contacts between ``a`` and ``b`` to the resolution.
+
+        The tangent response of the state before it predicts its strain. Trials are alternately just before and just
+        after; after two that have not halved the bracket, in its middle.
+        """
+        vain, side = 0, -1.0
+        while (width := b.way - a.way) > RESOLUTION:
+            way = a.meets(list(_changes(a, b))) + 0.4 * side * RESOLUTION
+            if vain > 1 or not a.way < way < b.way:
+                way = a.way + width / 2
+            c = self.state(a, way)
+            if _changes(a, c):
+                b, side = c, -1.0
+            else:
+                a, side = c, 1.0
+            vain = 0 if b.way - a.way < width / 2 else vain + 1
+        return a, b
+
+    def returns(self, a: _State, b: _State) -> bool:
+        """Whether the strain back from ``b`` to ``a`` restores the positions of ``a``."""
+        back = self.state(b, a.way)
+        if _changes(a, back):
+            return False
+        moved = a.packing.box.minimum_image(back.packing.positions - a.packing.positions)[a.network.backbone]
+        network = a.network
+        overlap = (network.radii[network.i] + network.radii[network.j] - network.distance).mean()
+        return bool(np.abs(moved - moved.mean(0)).max() < SAME * overlap)
+
+    def follow(self, first: _State, step: float, strain: float) -> Iterator[tuple[_State, bool | None]]:
+        """Yield each state that is kept; after an event also whether that is reversible."""
+        yield first, None
+        now, done = first, 0
+        while now.way < strain:
+            goal = min((done + 1) * step, strain)
+            way = min(goal, max(BEYOND * (now.predicted - now.way), RESOLUTION) + now.way)
+            after = self.state(now, way)
+            if _changes(now, after):
+                before, after = self.located(now, after)
+                yield before, None
+                yield after, self.returns(before, after)
+            elif way == goal:
+                yield after, None
+            now = after
+            while done < round(strain / step) and now.way >= min((done + 1) * step, strain):
+                done += 1
+
+
+@deferred()
+def aqs(
+    packing: Packing,
+    strain: float = 1e-2,
+    step: float | None = None,
+    events: int | None = None,
+    *,
+    prestress: bool = True,
+    comm: Comm | None = None,
+    name: str = "packing",
+    progress: Report | None = None,
+) -> ShearPath:
+    """Shear ``packing`` quasi-statically at constant area, F = 1 + γ e_x e_yᵀ, and locate every change of its contacts.
+
+    A packing that is not in balance is relaxed first, in its cell. The path ends before ``strain`` if the packing
+    unjams; a note says so.
+
+    Parameters
+    ----------
+    packing : Packing
+    strain : float
+        The last γ, of either sign.
+    step : float, optional
+        Strain between states that are kept without an event. Default: a fiftieth of ``strain``.
+    events : int, optional
+        Number of events after which the path ends. Default: no limit.
+    prestress : bool
+        Must be True: a minimum of the energy has no other tangent response.
+    comm, name, progress
+        As for :func:`petscjam.spectrum`. One rank does the work.
+
+    Raises
+    ------
+    InputError
+        If strain, step or events is out of range, or the packing is not jammed.
+    SolverError
+        If the forces of the packing cannot be balanced.
+    """
+    comm = resolve(comm)
+    agree(comm, packing, strain, step, events, prestress)
+    for what, value in (("strain", strain), ("step", step)):
+        size = abs(value) if isinstance(value, Real) else value
+        if value is not None and size not in ranges.QUASISTATIC:
+            raise InputError(f"aqs: the size of the {what} must be {ranges.QUASISTATIC}, not {shown(value)}")
+    if events is not None:
+        ranges.EVENTS.check("aqs: the number of events", events)
+    if not prestress:
+        raise InputError("aqs: a path of minima of the energy needs pre-stress")
+    length = abs(strain)
+    each = min(length, length / 50 if step is None else abs(step))
+    problem = LinearProblem.elastic(packing, True, comm)
+    origin = describe(problem, name)
+    notes = [note for note in problem.notes]
+    if problem.balanced and packing.certificate.proved is not True:
+        notes.append("the packing has no certificate of a minimum")
+
+    def work() -> dict[str, Any]:
+        start = certify(replace(packing, provenance={}))
+        if not problem.balanced:
+            start = relax_packing(start)
+            notes.append("the path starts from the relaxed packing")
+        return _followed(start, np.sign(strain), each, length, events, notes, progress)
+
+    made = on_root(comm, work)
+    return ShearPath(origin, **made)
+
+
+def _followed(
+    start: Packing,
+    sign: float,
+    step: float,
+    length: float,
+    most: int | None,
+    notes: list[str],
+    progress: Report | None,
+) -> dict[str, Any]:
+    """Follow the path on one rank; return the fields of the result."""
+    path = _Path(start)
+    kept: list[_State] = []
+    events: list[int] = []
+    reversible: list[bool] = []
+    try:
+        for state, back in path.follow(_State(start, 0.0, sign), step, length):
+            kept.append(state)
+            if back is not None:
+                events.append(len(kept) - 2)
+                reversible.append(back)
+            if progress:
+                share = max(state.way / length, len(events) / most if most else 0.0)
+                progress(share, f"strain {state.strain:.4g}, {len(events)} events")
+            if most and len(events) == most:
+                break
+    except (InputError, SolverError) as error:
+        if not kept:
+            raise
+        notes.append(f"the path ends at strain {kept[-1].strain:.6g}: {error}")
+    first, last = start.certificate, kept[-1].packing
+    changes = [
+        (event, *pair, int(np.sign(n)))
+        for event, row in enumerate(events)
+        for pair, n in _changes(kept[row], kept[row + 1]).items()
+    ]
+    certificates = [state.packing.certificate for state in kept]
+    return {
+        "negative_modes": first.negative_modes,
+        "zero_modes": first.zero_modes,
+        "gamma": np.array([state.strain for state in kept]),
+        "stress": np.array([-state.network.stress[0, 1] for state in kept]),
+        "pressure": np.array([state.network.pressure for state in kept]),
+        "contacts": np.array([len(state.network) for state in kept]),
+        "Z": np.array([state.network.Z for state in kept]),
+        "modulus": np.array([state.tangent[0] for state in kept]),
+        "eigenvalue": np.array([c.lowest_eigenvalue or np.nan for c in certificates]),
+        "net_force": np.array([c.max_force for c in certificates]),
+        "proved": np.array([bool(c.proved) for c in certificates]),
+        "events": np.array(events, dtype=np.int64),
+        "reversible": np.array(reversible, dtype=bool),
+        "changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
+        "geometry": last,
+        "notes": tuple(notes),
+    }
+
+
+def _options(parser: Any) -> None:
+    text = "last strain, of either sign (default 1e-2)"
+    parser.add_argument("--strain", type=number, default=1e-2, metavar="X", help=text)
+    text = "strain between states that are kept without an event (default: a fiftieth of the strain)"
+    parser.add_argument("--step", type=Within(number, ranges.QUASISTATIC), metavar="X", help=text)
+    text = "number of events after which the path ends (default: no limit)"
+    parser.add_argument("--events", type=Within(integer, ranges.EVENTS), metavar="K", help=text)
+
+
+VERB = Verb(aqs, "states and events of the path of each packing", _options)
