@@ -11,9 +11,9 @@ Axes: s state, e event, x change of a contact.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from numbers import Real
 from typing import Any, ClassVar
 
@@ -26,15 +26,14 @@ from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.interrupt import deferred
 from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
-from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.neighbours import pairs
+from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
-from petscjam.preparation.certify import certify, elastic_tensor
-from petscjam.preparation.prepare import relax_packing
+from petscjam.preparation.certify import certify, elastic_tensor, negative_modes
+from petscjam.preparation.prepare import equilibrium, relax_packing
 from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.kinematics import SIMPLE_SHEAR
 
 RESOLUTION = 1e-10  # in strain, of an event
 BEYOND = 1.01  # length of a step, in units of the predicted strain to the next event
@@ -138,7 +137,7 @@ class ShearPath(Judged):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A minimum of the energy, with its certificate, at the strain ``sign``·``way``."""
+    """A minimum of the energy at the strain ``sign``·``way``."""
 
     packing: Packing
     way: float
@@ -148,6 +147,11 @@ class _State:
     def strain(self) -> float:
         """γ."""
         return self.sign * self.way
+
+    @cached_property
+    def certified(self) -> Packing:
+        """The packing with its certificate."""
+        return certify(self.packing)
 
     @cached_property
     def network(self) -> ContactNetwork:
@@ -197,7 +201,9 @@ class _State:
     def meets(self, changed: list[tuple[int, int]]) -> float:
         """Return the first way at which a pair of ``changed`` opens or closes by the tangent response."""
         i, j = np.array(changed).T
-        gap, rate = self.gaps(i, j, self.packing.box.minimum_image(self.packing.positions[j] - self.packing.positions[i]))
+        gap, rate = self.gaps(
+            i, j, self.packing.box.minimum_image(self.packing.positions[j] - self.packing.positions[i])
+        )
         left = -gap[rate != 0] / rate[rate != 0]
         return self.way + float(left[left > 0].min(initial=np.inf))
 
@@ -208,6 +214,14 @@ def _changes(a: _State, b: _State) -> dict[tuple[int, int], int]:
     return {pair: n for pair, n in sorted(change.items()) if n}
 
 
+def _minimum(packing: Packing) -> Packing:
+    """Return an equilibrium, or the minimum below it if it is a saddle point."""
+    with suppress(SolverError):  # the modes cannot be counted
+        if negative_modes(packing) == 0:
+            return packing
+    return relax_packing(packing)
+
+
 @dataclass(frozen=True)
 class _Path:
     """The path of a packing: ``start`` has the cell at γ = 0."""
@@ -216,8 +230,8 @@ class _Path:
 
     def state(self, before: _State, way: float) -> _State:
         """Return the state at ``way`` that follows ``before``."""
-        packing = relax_packing(replace(before.moved(self.start, way), provenance={}))
-        return replace(before, packing=packing, way=way)
+        packing = equilibrium(before.moved(self.start, way))
+        return replace(before, packing=_minimum(packing), way=way)
 
     def located(self, a: _State, b: _State) -> tuple[_State, _State]:
         """Bracket the first change of the contacts between ``a`` and ``b`` to the resolution.
@@ -319,12 +333,12 @@ def aqs(
     each = min(length, length / 50 if step is None else abs(step))
     problem = LinearProblem.elastic(packing, True, comm)
     origin = describe(problem, name)
-    notes = [note for note in problem.notes]
+    notes = list(problem.notes)
     if problem.balanced and packing.certificate.proved is not True:
         notes.append("the packing has no certificate of a minimum")
 
     def work() -> dict[str, Any]:
-        start = certify(replace(packing, provenance={}))
+        start = replace(packing, provenance={})
         if not problem.balanced:
             start = relax_packing(start)
             notes.append("the path starts from the relaxed packing")
@@ -335,13 +349,7 @@ def aqs(
 
 
 def _followed(
-    start: Packing,
-    sign: float,
-    step: float,
-    length: float,
-    most: int | None,
-    notes: list[str],
-    progress: Report | None,
+    start: Packing, sign: float, step: float, length: float, most: int | None, notes: list[str], progress: Report | None
 ) -> dict[str, Any]:
     """Follow the path on one rank; return the fields of the result."""
     path = _Path(start)
@@ -355,7 +363,7 @@ def _followed(
                 events.append(len(kept) - 2)
                 reversible.append(back)
             if progress:
-                share = max(state.way / length, len(events) / most if most else 0.0)
+                share = len(events) / most if most else state.way / length
                 progress(share, f"strain {state.strain:.4g}, {len(events)} events")
             if most and len(events) == most:
                 break
@@ -363,16 +371,15 @@ def _followed(
         if not kept:
             raise
         notes.append(f"the path ends at strain {kept[-1].strain:.6g}: {error}")
-    first, last = start.certificate, kept[-1].packing
     changes = [
         (event, *pair, int(np.sign(n)))
         for event, row in enumerate(events)
         for pair, n in _changes(kept[row], kept[row + 1]).items()
     ]
-    certificates = [state.packing.certificate for state in kept]
+    certificates = [state.certified.certificate for state in kept]
     return {
-        "negative_modes": first.negative_modes,
-        "zero_modes": first.zero_modes,
+        "negative_modes": certificates[0].negative_modes,
+        "zero_modes": certificates[0].zero_modes,
         "gamma": np.array([state.strain for state in kept]),
         "stress": np.array([-state.network.stress[0, 1] for state in kept]),
         "pressure": np.array([state.network.pressure for state in kept]),
@@ -385,7 +392,7 @@ def _followed(
         "events": np.array(events, dtype=np.int64),
         "reversible": np.array(reversible, dtype=bool),
         "changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
-        "geometry": last,
+        "geometry": kept[-1].packing,
         "notes": tuple(notes),
     }
 

@@ -169,13 +169,29 @@ def relax_packing(
     SolverError
         As :func:`prepare_packing`.
     """
-    d = packing.mean_diameter
-    unit = packing.potential.unit(d)
+    unit = packing.potential.unit(packing.mean_diameter)
     check_relaxation(len(packing), pressure, shear_stabilised, method, budget, unit)
     record = _Record(budget, progress)
     if pressure is None:
-        record.least = DIGITS * ContactNetwork.of(packing).rounding_force / d
+        record.least = _least_pressure(packing)
     return _relaxed(packing, pressure, shear_stabilised, method, threads, record)
+
+
+def equilibrium(packing: Packing) -> Packing:
+    """Return the equilibrium next to ``packing``, in its cell, without a certificate: it may be a saddle point.
+
+    Raises
+    ------
+    InputError, SolverError
+        As :func:`relax_packing`.
+    """
+    record = _Record(BUDGET, None)
+    record.least = _least_pressure(packing)
+    return _minimum(packing, None, False, "fire", 1, record, None)
+
+
+def _least_pressure(packing: Packing) -> float:
+    return DIGITS * ContactNetwork.of(packing).rounding_force / packing.mean_diameter
 
 
 def _relaxed(
