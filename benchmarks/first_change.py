@@ -3,7 +3,7 @@
     mpirun -n 2 python benchmarks/first_change.py FOLDER
 
 Packings that are stable against shear in every direction are prepared in FOLDER, or taken from it, and sheared up
-to their first event, with steps of √p/5N and of half that. A row of the table has the mean and its error for one
+to their first event, with steps of 2√p/N and of half that. A row of the table has the mean and its error for one
 size and pressure, and the largest relative difference that halving the step makes. As in van Deen et al., Phys. Rev. E
 90, 020202, the strain is proportional to √p/N for N²p ≫ 1 and to p for N²p ≪ 1.
 """
@@ -22,7 +22,7 @@ from petscjam.parallel.petsc import start
 
 SEEDS = {(16, 64, 256): range(1, 21), (1024,): range(1, 11)}
 PRESSURES = {(16, 64, 256): (1e-2, 1e-3, 1e-4, 1e-5), (1024,): (1e-2, 1e-3, 1e-4)}
-PARTS = (0.2, 0.1)
+PARTS = (2.0, 1.0)
 
 
 def first_event(packing, part, **common):

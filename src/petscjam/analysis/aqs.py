@@ -68,7 +68,7 @@ class ShearPath(Judged):
         The state before each event; the next one is that after it.
     reversible : (E,) bool
         Whether the state before is restored when the strain goes back. If not, the event is an instability.
-    changes : (X, 4)
+    contact_changes : (X, 4)
         Event, disks i and j, and 1 for a contact that is made, −1 for one that is lost.
     geometry : Packing
         The last state, with which the path can be continued.
@@ -85,7 +85,7 @@ class ShearPath(Judged):
     proved: NDArray[np.bool_] = field(metadata=stored(axes="S"))
     events: Integers = field(metadata=stored(axes="E"))
     reversible: NDArray[np.bool_] = field(metadata=stored(axes="E"))
-    changes: Integers = field(metadata=stored(axes="X 4"))
+    contact_changes: Integers = field(metadata=stored(axes="X 4"))
     geometry: Packing
     units: ClassVar[str] = "moduli and stresses in k; changes: of contacts, made + lost, at reversible events"
     figure: ClassVar[str] = "petscjam.plots.aqs:path_figure"
@@ -108,7 +108,7 @@ class ShearPath(Judged):
 
     def count(self, change: int) -> Integers:
         """Return the number of contacts that are made (``change`` = 1) or lost (−1) at each event, (E,)."""
-        which = self.changes[self.changes[:, 3] == change, 0]
+        which = self.contact_changes[self.contact_changes[:, 3] == change, 0]
         return np.bincount(which, minlength=len(self.events))
 
     def kind(self, event: int) -> str:
@@ -271,9 +271,13 @@ class _Path:
             way = min(goal, max(BEYOND * (now.predicted - now.way), RESOLUTION) + now.way)
             after = self.state(now, way)
             if _changes(now, after):
-                before, after = self.located(now, after)
-                yield before, None
-                yield after, self.returns(before, after)
+                now, after = self.located(now, after)
+                restored = self.returns(now, after)
+                if not restored:  # `after` may come from a state far before: again from the nearest one
+                    after = self.state(now, after.way)
+                if restored or _changes(now, after):
+                    yield now, None
+                    yield after, restored
             elif way == goal:
                 yield after, None
             now = after
@@ -391,7 +395,7 @@ def _followed(
         "proved": np.array([bool(c.proved) for c in certificates]),
         "events": np.array(events, dtype=np.int64),
         "reversible": np.array(reversible, dtype=bool),
-        "changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
+        "contact_changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
         "geometry": kept[-1].packing,
         "notes": tuple(notes),
     }

@@ -76,7 +76,7 @@ MOMENTS = Range(2, 1e6, whole=True)
 VECTORS = Range(2, 1e5, whole=True)
 STRESS = Range(1e-50, 1e50)
 ALPHA = Range(0.01, 100)
-QUASISTATIC = Range(1e-9, 10)  # sizes of strains; events are located to 1e-10
+QUASISTATIC = Range(1e-10, 10)  # sizes of strains; events are located to 1e-10
 EVENTS = Range(1, 1e6, whole=True)
 
 # Sheared disks, in units of VOT

@@ -25,7 +25,7 @@ from petscjam.geometry.potential import POTENTIALS
 from petscjam.parallel.memory import require
 from petscjam.preparation.certify import Instability, judge
 from petscjam.preparation.minimise import METHODS, Enthalpy
-from petscjam.preparation.newton import descend, first_closeness, near
+from petscjam.preparation.newton import descend, first_closeness, near, newton
 from petscjam.preparation.records import Goal
 
 GAP = 1e-8  # between a rattler and its neighbours, relative to the sum of their radii
@@ -180,6 +180,8 @@ def relax_packing(
 def equilibrium(packing: Packing) -> Packing:
     """Return the equilibrium next to ``packing``, in its cell, without a certificate: it may be a saddle point.
 
+    Newton's method comes first, since FIRE can leave a small basin.
+
     Raises
     ------
     InputError, SolverError
@@ -187,6 +189,8 @@ def equilibrium(packing: Packing) -> Packing:
     """
     record = _Record(BUDGET, None)
     record.least = _least_pressure(packing)
+    h = Enthalpy(packing)
+    packing = h.at(newton(h, h.start, _goal(h, h.start)))
     return _minimum(packing, None, False, "fire", 1, record, None)
 
 
