@@ -39,6 +39,8 @@ ENTRIES = {
     "correlations": lambda p, odd, folder, **c: pj.correlations(p, [0.1], **c),
     "correlations, ω": lambda p, odd, folder, **c: pj.correlations(PACKING, [-1.0 if odd else 0.1], **c),
     "quasistatic_response": lambda p, odd, folder, **c: pj.quasistatic_response(p, **c),
+    "aqs": lambda p, odd, folder, **c: pj.aqs(p, 1e-4, **c),
+    "aqs, strain": lambda p, odd, folder, **c: pj.aqs(PACKING, -1e-4 if odd else 1e-4, **c),
     "viscosity": lambda p, odd, folder, **c: pj.viscosity(p, **c),
     "equivalent_drag": lambda p, odd, folder, **c: pj.equivalent_drag(p, [0.1], 1e-3, 0.6, **c),
     "equivalent_drag, α": lambda p, odd, folder, **c: pj.equivalent_drag(

@@ -23,6 +23,7 @@ CONTACT, STOKES = {"damping": pj.ContactDamping()}, {"damping": pj.StokesDrag()}
 VERBS = {
     "nonaffine": (["nonaffine"], pj.quasistatic_response, {}),
     "viscosity": (["viscosity", "--damping", "stokes"], pj.viscosity, STOKES),
+    "aqs": (["aqs", "--step", "1e-2", "--events", "2"], pj.aqs, {"step": 1e-2, "events": 2}),
     "modes": (["modes", "--count", "5"], pj.lowest_modes, {"count": 5}),
     "relaxations": (["modes", "--relaxation", "--count", "5"], pj.relaxation_modes, {"count": 5, **CONTACT}),
     "density": (["density", "--moments", "64", "--vectors", "4"], pj.density_of_states, {"moments": 64, "vectors": 4}),
@@ -41,6 +42,7 @@ VERBS = {
 OTHERS = {
     "nonaffine": (["--strain-mode", "compression"], "strain=compression"),
     "viscosity": (["--strain-mode", "pure-shear"], "strain=pure-shear"),
+    "aqs": (["--events", "3"], "events=3"),
     "modes": (["--count", "6"], "count=6"),
     "relaxations": (["--count", "6"], "count=6"),
     "density": (["--seed", "2"], "seed=2"),

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from petscjam.base.progress import Report
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.neighbours import pairs
 from petscjam.geometry.network import ContactNetwork
-from petscjam.geometry.packing import Packing
+from petscjam.geometry.packing import Certificate, Packing
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
 from petscjam.preparation.certify import certify, elastic_tensor, negative_modes
 from petscjam.preparation.prepare import equilibrium, relax_packing
@@ -98,7 +98,7 @@ class ShearPath(Judged):
 
     @property
     def drop(self) -> Array:
-        """Decrease of |σ_xy| along the path at each event, (E,)."""
+        """Stress drop at each event: decrease of σ_xy, or its increase if the strain decreases, (E,)."""
         return (self.stress[self.events] - self.stress[self.events + 1]) * self.sign
 
     @property
@@ -149,11 +149,6 @@ class _State:
         return self.sign * self.way
 
     @cached_property
-    def certified(self) -> Packing:
-        """The packing with its certificate."""
-        return certify(self.packing)
-
-    @cached_property
     def network(self) -> ContactNetwork:
         """Contacts of the backbone."""
         return ContactNetwork.of(self.packing).without_rattlers()
@@ -201,9 +196,8 @@ class _State:
     def meets(self, changed: list[tuple[int, int]]) -> float:
         """Return the first way at which a pair of ``changed`` opens or closes by the tangent response."""
         i, j = np.array(changed).T
-        gap, rate = self.gaps(
-            i, j, self.packing.box.minimum_image(self.packing.positions[j] - self.packing.positions[i])
-        )
+        x = self.packing.positions
+        gap, rate = self.gaps(i, j, self.packing.box.minimum_image(x[j] - x[i]))
         left = -gap[rate != 0] / rate[rate != 0]
         return self.way + float(left[left > 0].min(initial=np.inf))
 
@@ -262,27 +256,25 @@ class _Path:
         overlap = (network.radii[network.i] + network.radii[network.j] - network.distance).mean()
         return bool(np.abs(moved - moved.mean(0)).max() < SAME * overlap)
 
-    def follow(self, first: _State, step: float, strain: float) -> Iterator[tuple[_State, bool | None]]:
+    def follow(self, first: _State, goals: Array) -> Iterator[tuple[_State, bool | None]]:
         """Yield each state that is kept; after an event also whether that is reversible."""
         yield first, None
-        now, done = first, 0
-        while now.way < strain:
-            goal = min((done + 1) * step, strain)
-            way = min(goal, max(BEYOND * (now.predicted - now.way), RESOLUTION) + now.way)
-            after = self.state(now, way)
-            if _changes(now, after):
-                now, after = self.located(now, after)
-                restored = self.returns(now, after)
-                if not restored:  # `after` may come from a state far before: again from the nearest one
-                    after = self.state(now, after.way)
-                if restored or _changes(now, after):
-                    yield now, None
-                    yield after, restored
-            elif way == goal:
-                yield after, None
-            now = after
-            while done < round(strain / step) and now.way >= min((done + 1) * step, strain):
-                done += 1
+        now = first
+        for goal in goals.tolist():
+            while now.way < goal:
+                way = min(goal, now.way + max(BEYOND * (now.predicted - now.way), RESOLUTION))
+                after = self.state(now, way)
+                if _changes(now, after):
+                    now, after = self.located(now, after)
+                    restored = self.returns(now, after)
+                    if not restored:  # `after` may come from a state far before: again from the nearest one
+                        after = self.state(now, after.way)
+                    if restored or _changes(now, after):
+                        yield now, None
+                        yield after, restored
+                elif way == goal:
+                    yield after, None
+                now = after
 
 
 @deferred()
@@ -334,7 +326,10 @@ def aqs(
     if not prestress:
         raise InputError("aqs: a path of minima of the energy needs pre-stress")
     length = abs(strain)
-    each = min(length, length / 50 if step is None else abs(step))
+    count = 50.0 if step is None else max(1.0, length / abs(step))
+    if count > ranges.MOST_ROWS:
+        raise InputError(f"aqs: a strain of {shown(strain)} in steps of {shown(step)} has more than 1e6 states")
+    goals = np.append(np.arange(1, np.ceil(count * (1 - 1e-12))) * (length / count), length)
     problem = LinearProblem.elastic(packing, True, comm)
     origin = describe(problem, name)
     notes = list(problem.notes)
@@ -346,57 +341,80 @@ def aqs(
         if not problem.balanced:
             start = relax_packing(start)
             notes.append("the path starts from the relaxed packing")
-        return _followed(start, np.sign(strain), each, length, events, notes, progress)
+        return _followed(start, float(np.sign(strain)), goals, events, notes, progress)
 
     made = on_root(comm, work)
     return ShearPath(origin, **made)
 
 
+class _Row(NamedTuple):
+    """Numbers of a state that is kept, in the units of :class:`ShearPath`."""
+
+    gamma: float
+    stress: float
+    pressure: float
+    contacts: int
+    Z: float
+    modulus: float
+    eigenvalue: float
+    net_force: float
+    proved: bool
+
+    @classmethod
+    def of(cls, state: _State, certificate: Certificate) -> _Row:
+        lowest, network = certificate.lowest_eigenvalue, state.network
+        return cls(
+            gamma=state.strain,
+            stress=-float(network.stress[0, 1]),
+            pressure=network.pressure,
+            contacts=len(network),
+            Z=network.Z,
+            modulus=state.tangent[0],
+            eigenvalue=np.nan if lowest is None else lowest,
+            net_force=float(certificate.max_force or 0.0),
+            proved=certificate.proved is True,
+        )
+
+
 def _followed(
-    start: Packing, sign: float, step: float, length: float, most: int | None, notes: list[str], progress: Report | None
+    start: Packing, sign: float, goals: Array, most: int | None, notes: list[str], progress: Report | None
 ) -> dict[str, Any]:
     """Follow the path on one rank; return the fields of the result."""
-    path = _Path(start)
-    kept: list[_State] = []
+    path, first = _Path(start), certify(start)
+    last = _State(first, 0.0, sign)
+    rows: list[_Row] = []
     events: list[int] = []
     reversible: list[bool] = []
+    changes: list[tuple[int, int, int, int]] = []
     try:
-        for state, back in path.follow(_State(start, 0.0, sign), step, length):
-            kept.append(state)
-            if back is not None:
-                events.append(len(kept) - 2)
-                reversible.append(back)
+        for state, restored in path.follow(last, goals):
+            packing = certify(state.packing)
+            row = _Row.of(state, packing.certificate)
+            if restored is not None:
+                altered = _changes(last, state).items()
+                changes += [(len(events), i, j, int(np.sign(n))) for (i, j), n in altered]
+                events.append(len(rows) - 1)
+                reversible.append(restored)
+            rows.append(row)
+            last = replace(state, packing=packing)
             if progress:
-                share = len(events) / most if most else state.way / length
+                share = len(events) / most if most else state.way / goals[-1]
                 progress(share, f"strain {state.strain:.4g}, {len(events)} events")
             if most and len(events) == most:
                 break
     except (InputError, SolverError) as error:
-        if not kept:
+        if not rows:
             raise
-        notes.append(f"the path ends at strain {kept[-1].strain:.6g}: {error}")
-    changes = [
-        (event, *pair, int(np.sign(n)))
-        for event, row in enumerate(events)
-        for pair, n in _changes(kept[row], kept[row + 1]).items()
-    ]
-    certificates = [state.certified.certificate for state in kept]
+        notes.append(f"the path ends at strain {rows[-1].gamma:.6g}: {error}")
+    columns = (np.array(column) for column in zip(*rows, strict=True))
     return {
-        "negative_modes": certificates[0].negative_modes,
-        "zero_modes": certificates[0].zero_modes,
-        "gamma": np.array([state.strain for state in kept]),
-        "stress": np.array([-state.network.stress[0, 1] for state in kept]),
-        "pressure": np.array([state.network.pressure for state in kept]),
-        "contacts": np.array([len(state.network) for state in kept]),
-        "Z": np.array([state.network.Z for state in kept]),
-        "modulus": np.array([state.tangent[0] for state in kept]),
-        "eigenvalue": np.array([c.lowest_eigenvalue or np.nan for c in certificates]),
-        "net_force": np.array([c.max_force for c in certificates]),
-        "proved": np.array([bool(c.proved) for c in certificates]),
+        **dict(zip(_Row._fields, columns, strict=True)),
+        "negative_modes": first.certificate.negative_modes,
+        "zero_modes": first.certificate.zero_modes,
         "events": np.array(events, dtype=np.int64),
         "reversible": np.array(reversible, dtype=bool),
         "contact_changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
-        "geometry": kept[-1].packing,
+        "geometry": last.packing,
         "notes": tuple(notes),
     }
 

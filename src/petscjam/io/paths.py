@@ -53,7 +53,7 @@ def export_path(
     made[path.events + 1], lost[path.events + 1], drop[path.events + 1] = path.count(1), path.count(-1), path.drop
     lines = [
         f"# {path.origin.name}: gamma_xy at constant area; stresses in k, eigenvalue of K in k, net force in p d",
-        f"# event, contacts made and lost, drop of |stress|: between the state before and this one; {path.state}",
+        f"# event, contacts made and lost, stress drop: between the state before and this one; {path.state}",
         ",".join([*COLUMNS, "event", "made", "lost", "drop"]),
     ]
     for k in range(len(path.gamma)):

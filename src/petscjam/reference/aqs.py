@@ -30,7 +30,7 @@ class Change(NamedTuple):
 
 def candidates(n):
     """Return every pair of ``n`` disks with every image of the second: (i, j, a, b)."""
-    return [(i, j, a, b) for i in range(n) for j in range(i + 1, n) for a in range(-2, 3) for b in range(-2, 3)]
+    return [(i, j, a, b) for i in range(n) for j in range(i + 1, n) for a in range(-1, 2) for b in range(-1, 2)]
 
 
 def springs(x, radii, cell, strain, pairs):
@@ -110,15 +110,41 @@ def stress(found, area):
     return total / area
 
 
+def sheared(x, radii, cell, old, new, pairs):
+    """Return positions in balance at the strain ``new`` from those at ``old``.
+
+    Parameters
+    ----------
+    x, radii, cell, pairs
+        As for :func:`springs`.
+    old, new : float
+    """
+    moved = [[x[i][0] + (new - old) * x[i][1], x[i][1]] for i in range(len(x))]
+    return balanced(np.array(moved), radii, cell, new, pairs)
+
+
+def wrong(x, radii, cell, strain, pairs):
+    """Return the pairs whose disks touch though they have no spring, or have one and do not touch.
+
+    Parameters
+    ----------
+    x, radii, cell, strain, pairs
+        As for :func:`springs`.
+    """
+    everything = candidates(len(radii))
+    gaps = springs(x, radii, cell, strain, everything)
+    return [pair for pair, c in zip(everything, gaps, strict=True) if (c.force > 0) != (pair in pairs)]
+
+
 def changes(positions, radii, cell, strain, step):
     """Return every :class:`Change` up to ``strain``, or up to the first instability.
 
-    A change is located by bisection to 1e-13 in strain.
+    A change is located by bisection to 1e-12 in strain.
 
     Parameters
     ----------
     positions : (N, 2)
-        In equilibrium, without rattlers.
+        In equilibrium, without rattlers, in the cell.
     radii : (N,)
     cell : (2, 2)
         Rows are lattice vectors.
@@ -128,35 +154,22 @@ def changes(positions, radii, cell, strain, step):
         Above 0; two changes in one step may be missed.
     """
     area = abs(cell[0][0] * cell[1][1] - cell[0][1] * cell[1][0])
-    everything = candidates(len(radii))
-
-    def at(x, old, new):
-        """Return positions and springs at the strain ``new`` from those at ``old``."""
-        moved = [[x[i][0] + (new - old) * x[i][1], x[i][1]] for i in range(len(x))]
-        return balanced(np.array(moved), radii, cell, new, pairs)
-
-    def wrong(x, now):
-        """Return the pairs whose disks touch though they have no spring, or the reverse."""
-        gaps = springs(x, radii, cell, now, everything)
-        return [pair for pair, c in zip(everything, gaps, strict=True) if (c.force > 0) != (pair in pairs)]
-
     x, now, found = np.array(positions), 0.0, []
-    pairs = []
-    pairs = wrong(x, now)
+    pairs = wrong(x, radii, cell, now, [])
     while abs(now) < abs(strain):
         goal = now + np.sign(strain) * min(step, abs(strain - now))
-        after = at(x, now, goal)
-        if not wrong(after, goal):
+        after = sheared(x, radii, cell, now, goal, pairs)
+        if not wrong(after, radii, cell, goal, pairs):
             x, now = after, goal
             continue
-        while abs(goal - now) > 1e-13:
+        while abs(goal - now) > 1e-12:
             middle = (now + goal) / 2
-            trial = at(x, now, middle)
-            if wrong(trial, middle):
+            trial = sheared(x, radii, cell, now, middle, pairs)
+            if wrong(trial, radii, cell, middle, pairs):
                 after, goal = trial, middle
             else:
                 x, now = trial, middle
-        ((i, j, a, b),) = wrong(after, goal)
+        ((i, j, a, b),) = wrong(after, radii, cell, goal, pairs)
         change = -1 if (i, j, a, b) in pairs else 1
         force = stress(springs(x, radii, cell, now, pairs), area)
         pairs = sorted({*pairs} ^ {(i, j, a, b)})
