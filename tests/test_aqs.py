@@ -169,6 +169,14 @@ def test_stored_and_exported(tmp_path, capsys):
     assert (table["event"] != "").sum() == len(path.events)
 
 
+def test_a_path_without_events_is_stored_drawn_and_exported(tmp_path, capsys):
+    path = pj.aqs(sixteen(), -1e-4, 1e-4)
+    append_result(path, tmp_path / "path.h5", "one")
+    assert len(read_results(tmp_path / "path.h5")["one"].events) == 0
+    for verb in ("info", "plot", "export"):
+        assert main([verb, str(tmp_path / "path.h5")]) == 0
+
+
 def test_unproved_packing_is_sheared_with_a_note():
     assert any("no certificate" in note for note in pj.aqs(sixteen(), 1e-4, 1e-4).notes)
     packing = jammed(1e-2, 16, 1)

@@ -27,6 +27,7 @@ VERBS = {
     "density": ["density", "--moments", "16", "--vectors", "2"],
     "correlations": ["correlations", "--beta", "1", "--omega", "1e-2"],
     "drag": ["nonlinear-drag", "--stress", "1e-4", "--omega", "1e-2"],
+    "aqs": ["aqs", "--strain", "0.05", "--events", "2"],
 }
 KINDS = ["packing", "spectrum", "rebuilt", "run", *VERBS]
 

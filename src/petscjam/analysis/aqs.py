@@ -5,7 +5,7 @@ response du/dγ of the last one, and its energy is minimised. The tangent respon
 first contact opens or closes: no step goes much further, so that changes are met one by one, as in van Deen et al.,
 Phys. Rev. E 90, 020202. A change is bracketed to 1e-10 in strain.
 
-Axes: s state, e event, x change of a contact.
+Axes: s state, f event, c change of a contact.
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ class ShearPath(Judged):
         Largest net force on a disk, p·d.
     proved : (S,) bool
         Whether the certificate proves a minimum.
-    events : (E,)
+    events : (F,)
         The state before each event; the next one is that after it.
-    reversible : (E,) bool
+    reversible : (F,) bool
         Whether the state before is restored when the strain goes back. If not, the event is an instability.
-    contact_changes : (X, 4)
+    contact_changes : (C, 4)
         Event, disks i and j, and 1 for a contact that is made, −1 for one that is lost.
     geometry : Packing
         The last state, with which the path can be continued.
@@ -83,9 +83,9 @@ class ShearPath(Judged):
     eigenvalue: Array = field(metadata=stored("stiffness", "S"))
     net_force: Array = field(metadata=stored("pressure*diameter", "S", finite=True))
     proved: NDArray[np.bool_] = field(metadata=stored(axes="S"))
-    events: Integers = field(metadata=stored(axes="E"))
-    reversible: NDArray[np.bool_] = field(metadata=stored(axes="E"))
-    contact_changes: Integers = field(metadata=stored(axes="X 4"))
+    events: Integers = field(metadata=stored(axes="F"))
+    reversible: NDArray[np.bool_] = field(metadata=stored(axes="F"))
+    contact_changes: Integers = field(metadata=stored(axes="C 4"))
     geometry: Packing
     units: ClassVar[str] = "moduli and stresses in k; changes: of contacts, made + lost, at reversible events"
     figure: ClassVar[str] = "petscjam.plots.aqs:path_figure"
@@ -98,7 +98,7 @@ class ShearPath(Judged):
 
     @property
     def drop(self) -> Array:
-        """Stress drop at each event: decrease of σ_xy, or its increase if the strain decreases, (E,)."""
+        """Stress drop at each event: decrease of σ_xy, or its increase if the strain decreases, (F,)."""
         return (self.stress[self.events] - self.stress[self.events + 1]) * self.sign
 
     @property
@@ -107,7 +107,7 @@ class ShearPath(Judged):
         return float(np.sign(self.gamma[-1] - self.gamma[0])) or 1.0
 
     def count(self, change: int) -> Integers:
-        """Return the number of contacts that are made (``change`` = 1) or lost (−1) at each event, (E,)."""
+        """Return the number of contacts that are made (``change`` = 1) or lost (−1) at each event, (F,)."""
         which = self.contact_changes[self.contact_changes[:, 3] == change, 0]
         return np.bincount(which, minlength=len(self.events))
 
