@@ -145,6 +145,18 @@ def test_an_instability_has_a_hysteresis():
     assert back.drop[0] > 1e-4
 
 
+def test_lowest_eigenvalue_vanishes_as_the_square_root_before_an_instability():
+    """With Hertzian contacts K is continuous along a path, and a minimum is lost in a saddle-node bifurcation."""
+    packing = jammed(1e-2, 16, 9, potential_name="hertzian")
+    path = pj.aqs(packing, 0.1, 0.1, 3)
+    assert path.reversible.tolist() == [True, True, False]
+    assert path.eigenvalue[-2] < 1e-5
+    before = pj.aqs(packing, path.gamma[-1] - 1e-6, 0.1).geometry
+    near = [pj.aqs(before, 1e-6 - d, 0.1) for d in (4e-8, 1e-8)]
+    assert near[0].eigenvalue[-1] / near[1].eigenvalue[-1] == pytest.approx(2, rel=0.02)
+    assert near[1].modulus[-1] / near[0].modulus[-1] == pytest.approx(2, rel=0.02)
+
+
 def test_a_path_that_unjams_ends_there():
     floating = pj.relax_packing(jammed(1e-3, 16, 1), 1e-6)
     path = pj.aqs(floating, 0.2, 0.2)

@@ -193,13 +193,12 @@ class _State:
             left = np.where(gap * rate < 0, -gap / rate, np.inf)
         return self.way + float(left.min(initial=np.inf))
 
-    def meets(self, changed: list[tuple[int, int]]) -> float:
-        """Return the first way at which a pair of ``changed`` opens or closes by the tangent response."""
+    def crossings(self, changed: list[tuple[int, int]]) -> Array:
+        """Return the ways, before or after this state, at which pairs touch by the tangent response."""
         i, j = np.array(changed).T
         x = self.packing.positions
         gap, rate = self.gaps(i, j, self.packing.box.minimum_image(x[j] - x[i]))
-        left = -gap[rate != 0] / rate[rate != 0]
-        return self.way + float(left[left > 0].min(initial=np.inf))
+        return self.way - gap[rate != 0] / rate[rate != 0]
 
 
 def _changes(a: _State, b: _State) -> dict[tuple[int, int], int]:
@@ -230,12 +229,15 @@ class _Path:
     def located(self, a: _State, b: _State) -> tuple[_State, _State]:
         """Bracket the first change of the contacts between ``a`` and ``b`` to the resolution.
 
-        The tangent response of the state before it predicts its strain. Trials are alternately just before and just
-        after; after two that have not halved the bracket, in its middle.
+        The tangent response of ``a`` predicts its strain, or that of ``b`` if a rattler is caught. Trials are
+        alternately just before and just after; after two that have not halved the bracket, in its middle.
         """
         vain, side = 0, -1.0
         while (width := b.way - a.way) > RESOLUTION:
-            way = a.meets(list(_changes(a, b))) + 0.4 * side * RESOLUTION
+            changed = list(_changes(a, b))
+            caught = not a.network.backbone[np.array(changed)].all()
+            at = (b if caught else a).crossings(changed)
+            way = at[(at > a.way) & (at < b.way)].min(initial=np.inf) + 0.4 * side * RESOLUTION
             if vain > 1 or not a.way < way < b.way:
                 way = a.way + width / 2
             c = self.state(a, way)
