@@ -157,11 +157,16 @@ def test_lowest_eigenvalue_vanishes_as_the_square_root_before_an_instability():
     assert near[1].modulus[-1] / near[0].modulus[-1] == pytest.approx(2, rel=0.02)
 
 
-def test_a_path_that_unjams_ends_there():
-    floating = pj.relax_packing(jammed(1e-3, 16, 1), 1e-6)
-    path = pj.aqs(floating, 0.2, 0.2)
-    assert path.gamma[-1] < 0.2
-    assert "ends at strain" in path.notes[-1]
+def test_a_path_ends_where_the_packing_unjams():
+    packing = jammed(1e-4, 64, 1, shear_stabilised=True)
+    path = pj.aqs(packing, 1e-3, 1e-3)
+    assert "unjams" in path.notes[-1]
+    assert len(path.gamma) == 2
+    assert path.proved.all()
+    F = np.array([[1, 1e-8], [0, 1]])
+    last = path.geometry
+    with pytest.raises(InputError, match="not jammed"):
+        pj.relax_packing(replace(last, positions=last.positions @ F.T, box=last.box.deformed(F)))
 
 
 # --- files and command

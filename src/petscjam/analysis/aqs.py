@@ -137,11 +137,12 @@ class ShearPath(Judged):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A minimum of the energy at the strain ``sign``·``way``."""
+    """A minimum of the energy at the strain ``sign``·``way``; or, if not ``jammed``, a packing without one."""
 
     packing: Packing
     way: float
     sign: float
+    jammed: bool = True
 
     @property
     def strain(self) -> float:
@@ -156,6 +157,8 @@ class _State:
     @cached_property
     def contacts(self) -> dict[tuple[int, int], int]:
         """Number of contacts of each pair of disks of the backbone: more than one through several images."""
+        if not self.jammed:
+            return {}
         found = np.stack([self.network.i, self.network.j], axis=1)
         pair, number = np.unique(found, axis=0, return_counts=True)
         return {(int(i), int(j)): int(n) for (i, j), n in zip(pair, number, strict=True)}
@@ -223,8 +226,12 @@ class _Path:
 
     def state(self, before: _State, way: float) -> _State:
         """Return the state at ``way`` that follows ``before``."""
-        packing = equilibrium(before.moved(self.start, way))
-        return replace(before, packing=_minimum(packing), way=way)
+        after = replace(before, packing=before.moved(self.start, way), way=way)
+        with suppress(InputError):  # no contact has a force, or the backbone is in pieces
+            found = replace(after, packing=_minimum(equilibrium(after.packing)))
+            if len(found.network) > 0:
+                return found
+        return replace(after, jammed=False)
 
     def located(self, a: _State, b: _State) -> tuple[_State, _State]:
         """Bracket the first change of the contacts between ``a`` and ``b`` to the resolution.
@@ -268,6 +275,9 @@ class _Path:
                 after = self.state(now, way)
                 if _changes(now, after):
                     now, after = self.located(now, after)
+                    if not after.jammed:
+                        yield now, None
+                        raise InputError("the packing unjams")
                     restored = self.returns(now, after)
                     if not restored:  # `after` may come from a state far before: again from the nearest one
                         after = self.state(now, after.way)
