@@ -46,16 +46,20 @@ def table(whole, half):
         change = abs(first(other) / first(path) - 1) if other else np.nan
         group = groups.setdefault((path.origin.particles, nominal(path.origin.pressure)), [])
         group.append((kind, first(path), change))
-    print("| N | p | packings | N²p | first change at γ | γN/√p | γ/p | lost, made, unstable, unjams | halved step |")
+    print(
+        "| N | p | packings | N²p | first change at γ | γN/√p | γ/p | lost, made, unstable, unjams | halved step (of) |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for (n, p), rows in sorted(groups.items()):
         kinds, strains, changes = zip(*rows, strict=True)
+        known = [change for change in changes if np.isfinite(change)]
+        halved = f"{max(known):.0e} ({len(known)})" if known else "—"
         mean, error = np.mean(strains), standard_error(strains)
         counts = ", ".join(str(kinds.count(kind)) for kind in ("lost", "made", "instability", "unjams"))
         print(
             f"| {n} | {p:g} | {len(rows)} | {n * n * p:.3g} | {mean:.3g} ± {error:.1g} "
             f"| {mean * n / p**0.5:.3g} ± {error * n / p**0.5:.1g} | {mean / p:.3g} ± {error / p:.1g} | {counts} "
-            f"| {'—' if np.isnan(changes).any() else f'{max(changes):.0e}'} |"
+            f"| {halved} |"
         )
 
 

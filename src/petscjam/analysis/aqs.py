@@ -275,15 +275,12 @@ class _Path:
                 after = self.state(now, way)
                 if _changes(now, after):
                     now, after = self.located(now, after)
-                    if not after.jammed:
+                    after = self.state(now, after.way)  # it may come from a state far before
+                    if _changes(now, after):
                         yield now, None
-                        raise InputError("the packing unjams")
-                    restored = self.returns(now, after)
-                    if not restored:  # `after` may come from a state far before: again from the nearest one
-                        after = self.state(now, after.way)
-                    if restored or _changes(now, after):
-                        yield now, None
-                        yield after, restored
+                        if not after.jammed:
+                            raise InputError("the packing unjams")
+                        yield after, self.returns(now, after)
                 elif way == goal:
                     yield after, None
                 now = after
