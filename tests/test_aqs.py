@@ -49,7 +49,7 @@ def test_published_changes_of_contacts():
         assert 0 < path.gamma[k + 1] - path.gamma[k] <= 1e-10
 
 
-@pytest.mark.parametrize("strain", [2e-2, -3e-2])
+@pytest.mark.parametrize("strain", [2e-2, pytest.param(-3e-2, marks=pytest.mark.slow)])
 def test_changes_and_instability_equal_the_slow_twin(strain):
     packing = jammed(1e-2, 16, 1)
     assert packing.certificate.rattlers == 0
