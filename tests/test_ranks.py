@@ -47,6 +47,7 @@ ENTRIES = {
         PACKING, [0.1], 1e-3, -1.0 if odd else 0.6, **c
     ),
     "self_consistent_drag": lambda p, odd, folder, **c: pj.self_consistent_drag(p, [0.1], 1e-3, 0.6, **c),
+    "nonlinear_drag": lambda p, odd, folder, **c: pj.nonlinear_drag(p, [0.1], 1e-3, 0.6, **c),
     "prepare_library": lambda p, odd, folder, **c: pj.prepare_library(
         folder / "lib", [16], [1e-2], ratio=1.2 if odd else 1.4, **c
     ),

@@ -321,6 +321,7 @@ EVERY = {
     "density": lambda p, **how: pj.density_of_states(p, moments=16, vectors=2, **how),
     "drag": lambda p, **how: pj.self_consistent_drag(p, [1.0], 1e-3, 0.5, **how),
     "uniform": lambda p, **how: pj.equivalent_drag(p, [1.0], 1e-3, 0.5, **how),
+    "direct": lambda p, **how: pj.nonlinear_drag(p, [1.0], 1e-3, 0.5, points=8, **how),
 }
 
 

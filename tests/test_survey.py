@@ -38,6 +38,11 @@ VERBS = {
         pj.equivalent_drag,
         {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA},
     ),
+    "direct": (
+        ["nonlinear-drag", "--direct", *FREQUENCIES, *AMPLITUDE],
+        pj.nonlinear_drag,
+        {"omegas": OMEGA, "stress": STRESS, "alpha": ALPHA},
+    ),
 }
 OTHERS = {
     "nonaffine": (["--strain-mode", "compression"], "strain=compression"),
@@ -49,6 +54,7 @@ OTHERS = {
     "correlations": (["--width", "0.9"], "width=0.9"),
     "drag": (["--alpha", "0.6"], "alpha=0.6"),
     "uniform": (["--omega", "1e-3,2"], "omegas=[0.001, 2.0]"),
+    "direct": (["--stress", "1e-2"], "stress=0.01"),
 }
 verbs = pytest.mark.parametrize("verb", VERBS)
 

@@ -196,7 +196,7 @@ def test_correlations(name, s):
 
 
 @any_factor
-@pytest.mark.parametrize("drag", [pj.self_consistent_drag, pj.equivalent_drag])
+@pytest.mark.parametrize("drag", [pj.self_consistent_drag, pj.equivalent_drag, pj.nonlinear_drag])
 @two_potentials
 def test_nonlinear_drag(name, drag, s):
     """BT eq. 9: its velocity ρ0/τ1 is that of a diameter, in any unit."""

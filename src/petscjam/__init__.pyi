@@ -7,6 +7,7 @@ from .analysis.drag import equivalent_drag as equivalent_drag
 from .analysis.mode_sum import mode_sum as mode_sum
 from .analysis.mode_sum import rebuilt_response as rebuilt_response
 from .analysis.nonaffine import quasistatic_response as quasistatic_response
+from .analysis.nonlinear_drag import nonlinear_drag as nonlinear_drag
 from .analysis.oscillation import oscillate as oscillate
 from .analysis.statistics import average as average
 from .analysis.step_strain import step_strain as step_strain

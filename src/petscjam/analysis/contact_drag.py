@@ -133,25 +133,8 @@ def self_consistent_drag(
             log_tau = np.log(points[w].contact_tau) - np.log(guess[w])
             if progress:
                 progress(done / len(omega), f"ω = {omega[w]:.3g}, {points[w].iterations} iterations")
-    columns = zip(*(points[w] for w in range(len(omega))), strict=True)
-    found: dict[str, Any] = dict(zip(_Point._fields, map(np.array, columns), strict=True))
-    if not found["converged"].all():
-        lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
-        problem.notes.append(f"not converged in {most_iterations} iterations at ω = {lost}")
-    lowest = rounded(found["values"].real, problem.rounding[0]).min()
-    still = limit_or_note(partial(static_modulus, problem), problem.notes, "G0")
-    return NonlinearModulus(
-        omega=omega,
-        stress=float(stress),
-        alpha=float(alpha),
-        form="per contact",
-        **found,
-        errors=np.full(len(omega), np.nan),
-        origin=describe(problem, name, strain),
-        G0=float(np.nanmin([lowest, still.G])),
-        negative_modes=problem.negative_modes,
-        zero_modes=problem.zero_modes,
-        notes=tuple(problem.notes),
+    return drag_result(
+        problem, omega, stress, alpha, "per contact", [points[w] for w in range(len(omega))], name, strain
     )
 
 
@@ -165,7 +148,7 @@ class _Response(NamedTuple):
     slope: Field
 
 
-class _Point(NamedTuple):
+class Point(NamedTuple):
     """The values of :class:`NonlinearModulus` at one frequency."""
 
     values: complex
@@ -179,6 +162,69 @@ class _Point(NamedTuple):
     contact_tau: Array
 
 
+def drag_result(
+    problem: LinearProblem,
+    omega: Array,
+    stress: float,
+    alpha: float,
+    form: str,
+    points: list[Point],
+    name: str,
+    strain: str,
+    third: Field | None = None,
+) -> NonlinearModulus:
+    """Return the result of the ``points``, with a note if some did not converge.
+
+    Parameters
+    ----------
+    problem : LinearProblem
+    omega : (W,)
+    stress, alpha, form, third
+        As in :class:`NonlinearModulus`.
+    points : list of Point
+        One for each frequency.
+    name, strain : str
+        Of the packing, and of the strain mode.
+    """
+    columns = zip(*points, strict=True)
+    found: dict[str, Any] = dict(zip(Point._fields, map(np.array, columns), strict=True))
+    if not found["converged"].all():
+        lost = ", ".join(f"{w:.3g}" for w in omega[~found["converged"]])
+        problem.notes.append(f"not converged in {found['iterations'].max()} iterations at ω = {lost}")
+    lowest = rounded(found["values"].real, problem.rounding[0]).min()
+    still = limit_or_note(partial(static_modulus, problem), problem.notes, "G0")
+    return NonlinearModulus(
+        omega=omega,
+        stress=float(stress),
+        alpha=float(alpha),
+        form=form,
+        **found,
+        errors=np.full(len(omega), np.nan),
+        third=third,
+        origin=describe(problem, name, strain),
+        G0=float(np.nanmin([lowest, still.G])),
+        negative_modes=problem.negative_modes,
+        zero_modes=problem.zero_modes,
+        notes=tuple(problem.notes),
+    )
+
+
+def weighted_point(tau: Array, square: Array, **values: Any) -> Point:
+    """Return a point with the mean of ``tau`` and its spread.
+
+    Parameters
+    ----------
+    tau, square : (C,)
+        Time and ⟨|v|²⟩ of each contact.
+    **values
+        The others.
+    """
+    share = tau * square / (tau * square).sum()
+    mean = float(tau @ square / square.sum())
+    spread = float(share @ (np.log(tau) - share @ np.log(tau)) ** 2) ** 0.5
+    return Point(tau=mean, spread=spread, contact_tau=tau, **values)
+
+
 def _fixed_point(
     respond: Callable[[Array], _Response],
     times_of: Callable[[_Response], Array],
@@ -186,7 +232,7 @@ def _fixed_point(
     rtol: float,
     most_iterations: int,
     comm: Comm,
-) -> _Point:
+) -> Point:
     """Iterate ln τ_c from ``log_tau`` until ``times_of`` the motion are equal to τ_c."""
     tried: list[Array] = []
     missed: list[Array] = []
@@ -200,16 +246,29 @@ def _fixed_point(
         change = float(abs(found.slope @ (wanted - tau)) / abs(found.G))
         tau_change = float(np.sqrt(np.mean(miss**2)))
         tried, missed = [*tried[1 - MEMORY :], log_tau], [*missed[1 - MEMORY :], miss]
-        log_tau, converged = comm.bcast((_mixed(tried, missed), max(change, tau_change) < rtol))
-    square = (abs(found.motion) ** 2).sum(1)
-    share = tau * square / (tau * square).sum()
-    mean = float(tau @ square / square.sum())
-    spread = float(share @ (np.log(tau) - share @ np.log(tau)) ** 2) ** 0.5
-    return comm.bcast(_Point(found.G, mean, spread, iterations, converged, change, tau_change, found.residual, tau))
+        log_tau, converged = comm.bcast((mixed(tried, missed), max(change, tau_change) < rtol))
+    return comm.bcast(
+        weighted_point(
+            tau,
+            (abs(found.motion) ** 2).sum(1),
+            values=found.G,
+            iterations=iterations,
+            converged=converged,
+            changes=change,
+            tau_changes=tau_change,
+            residuals=found.residual,
+        )
+    )
 
 
-def _mixed(tried: list[Array], missed: list[Array]) -> Array:
-    """Return the next iterate (Anderson): the minimum of a linear model of the residual."""
+def mixed(tried: list[Array], missed: list[Array]) -> Array:
+    """Return the next iterate (Anderson): the minimum of a linear model of the residual.
+
+    Parameters
+    ----------
+    tried, missed : lists of (n,)
+        The last iterates and their residuals.
+    """
     steps, falls = (np.diff(some, axis=0).T for some in (tried, missed))
     weights = np.linalg.lstsq(falls, missed[-1], rcond=None)[0]
     return tried[-1] + missed[-1] - (steps + falls) @ weights

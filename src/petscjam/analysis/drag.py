@@ -48,33 +48,37 @@ class NonlinearModulus(Judged):
     alpha : float
         Exponent of the force law.
     form : str
-        ``uniform`` or ``per contact``.
+        ``uniform``, ``per contact`` or ``direct``, without equivalent damping.
     tau : (W,)
-        τα; per contact the mean with the same dissipation, Σ τ_c|Δu|²/Σ|Δu|².
+        τα; otherwise the mean with the same dissipation, Σ τ_c|Δu|²/Σ|Δu|².
     spread : (W,)
         Standard deviation of ln τ_c over contacts, weighted by the dissipation of each.
     iterations : (W,) int
         Number of solves.
     converged : (W,) bool
     changes : (W,)
-        |ΔG*|/|G*|, to first order, that one more iteration would make.
+        |ΔG*|/|G*|, to first order, that one more iteration would make; direct: of the last one.
     tau_changes : (W,)
-        rms over contacts of ln τ_c of the motion minus ln τ_c of the solve.
+        rms over contacts of ln τ_c of the motion minus ln τ_c of the solve; direct: rms difference of the velocities
+        of contacts from those of their friction, weighted by friction, relative to their rms.
     residuals : (W,)
-        ‖(K + iωB)q − f‖/‖f‖ of the last solve, or of the reduced model.
+        ‖(K + iωB)q − f‖/‖f‖ of the last solve, or of the reduced model; direct: the largest over harmonics.
     errors : (W,)
-        Bound on |ΔG*|/|G*| of the reduced model; NaN per contact.
+        Bound on |ΔG*|/|G*| of the reduced model; NaN without one.
     contact_tau : (W, C)
-        τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none.
+        τ_c of each contact of the backbone, in the order of :class:`ContactNetwork`; uniform: none; direct: the
+        linear friction that dissipates the same along the path of the contact.
     G0 : float or None
         The smallest G′, including that at ω → 0 if known; 0 within rounding. None in older files.
+    third : (W,) complex or None
+        Third harmonic of the strain over the fundamental, under the stress δσ cos ωt; direct only.
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
     values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
     stress: float = field(metadata=stored("stress", finite=True))
     alpha: float = field(metadata=stored(finite=True))
-    form: str = field(metadata=stored(words=("uniform", "per contact")))
+    form: str = field(metadata=stored(words=("uniform", "per contact", "direct")))
     tau: Array = field(metadata=stored("tau1", "W"))
     spread: Array = field(metadata=stored(axes="W"))
     iterations: NDArray[np.int64] = field(metadata=stored(axes="W"))
@@ -85,6 +89,7 @@ class NonlinearModulus(Judged):
     errors: Array = field(metadata=stored(axes="W"))
     contact_tau: Array = field(metadata=stored("tau1", "W C"))
     G0: float | None = field(metadata=stored("stress"))
+    third: NDArray[np.complex128] | None = field(default=None, kw_only=True, metadata=stored("1", "W"))
     settings: ClassVar[tuple[str, ...]] = ("strain",)
     units: ClassVar[str] = "stress in k"
     figure: ClassVar[str] = "petscjam.plots.drag:drag_figure"
@@ -270,8 +275,13 @@ def _options(parser: ArgumentParser) -> None:
     parser.add_argument("--stress", type=stress, required=True, metavar="X", help="amplitude of the stress, in k")
     text = "exponent of the force law, above 0; 1 is linear (default 2/3)"
     parser.add_argument("--alpha", type=alpha, default=2 / 3, metavar="X", help=text)
-    text = "one time for all contacts, as in the paper, instead of one for each contact"
-    parser.add_argument("--uniform", dest="analyse", action="store_const", const=equivalent_drag, help=text)
+    forms = parser.add_mutually_exclusive_group()
+    for option, form, text in (
+        ("--uniform", equivalent_drag, "one time for all contacts, as in the paper, instead of one for each contact"),
+        ("--direct", DIRECT, "the nonlinear equations of motion, without effective times"),
+    ):
+        forms.add_argument(option, dest="analyse", action="store_const", const=form, help=text)
 
 
+DIRECT = "petscjam.analysis.nonlinear_drag:nonlinear_drag"
 VERB = Verb("petscjam.analysis.contact_drag:self_consistent_drag", "G*, effective times, convergence", _options)

@@ -1,4 +1,4 @@
-"""Figure of nonlinear drag: G′, G″ and the friction time against frequency, for one time and for many."""
+"""Figure of nonlinear drag: G′, G″ and the friction time against frequency, for one time, for many and without."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STYLE = {"uniform": "--", "per contact": "-"}
+STYLE = {"uniform": "--", "per contact": "-", "direct": ":"}
 CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
     "uniform": (lambda alpha: alpha / 2, r"\alpha/2"),
-    "per contact": (lambda alpha: 2 * alpha / (1 + 3 * alpha), r"2\alpha/(1+3\alpha)"),
+    **dict.fromkeys(("per contact", "direct"), (lambda alpha: 2 * alpha / (1 + 3 * alpha), r"2\alpha/(1+3\alpha)")),
 }  # of G* against ω in the critical regime: docs/howto/drag.md
 
 
