@@ -19,7 +19,7 @@ from petscjam.analysis.scaling import Curve, collapse, power_law
 from petscjam.analysis.statistics import by_pressure
 from petscjam.base.errors import InputError, SolverError
 from petscjam.cli import main
-from petscjam.figures import FIGURES, SETS, Request, make_figure, presets
+from petscjam.figures import FIGURES, SETS, Request, make_figure, module_of, presets
 from petscjam.figures.data import FigureData
 from petscjam.figures.flows import Flows
 from petscjam.figures.modes import WITHIN
@@ -54,6 +54,14 @@ TINY = {
     "bt8": {**COMMON, "particles": [64, 128], "large": 128, "large_pressure": "1e-2:1e-3:2"},
     "modes": {**COMMON, "count": 126, "moments": 64},
     "drag": {**COMMON, "alphas": [0.5], "stress": 1e-3, "omega": "1e-5:1e1:7", "linear_omega": "1e-6:1e7:14"},
+    "nonlinear-drag": {
+        **COMMON,
+        "alphas": [0.5],
+        "stress": 1e-3,
+        "X": "1e-4:1e0:5",
+        "points": 8,
+        "linear_omega": "1e-6:1e3:10",
+    },
 }
 FLOWS = {
     "particles": 64,
@@ -260,7 +268,7 @@ def test_presets_are_small_medium_and_paper(name):
 
 def test_the_files_of_the_package_are_those_of_mpi_runs():
     ours = {file.name: file.read_bytes() for file in (RUNS.parent / "src/petscjam/figures").glob("*.toml")}
-    assert set(ours) == {f"{SETS.get(name, name)}.toml" for name in FIGURES}
+    assert set(ours) == {f"{module_of(name)}.toml" for name in FIGURES}
     assert ours == {name: (RUNS / name).read_bytes() for name in ours}
 
 

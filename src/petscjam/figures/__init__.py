@@ -36,6 +36,7 @@ FIGURES = {
     "bt8": "finite-size scaling of the viscosity",
     "modes": "low modes: floppiness, and number of modes of the quasi-static response",
     "drag": "nonlinear drag: equivalent damping of the whole packing and contact by contact",
+    "nonlinear-drag": "nonlinear drag without equivalent damping, against both forms of it",
     "vot1": "CD: pressure against Q at several packing fractions",
     "vot2": "CD: viscosity and Bagnold coefficient of the pressure against Q at several strain rates",
     "vot3": "CD: phase diagram, Newtonian and Bagnoldian flow in the plane of packing fraction and Q",
@@ -79,6 +80,11 @@ SETS = {  # figures that share runs and parameters: the module
 }
 
 
+def module_of(name: str) -> str:
+    """Return the module of a figure, and the name of its file of parameters."""
+    return SETS.get(name, name.replace("-", "_"))
+
+
 def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     """Return the parameters of a figure by preset.
 
@@ -96,7 +102,7 @@ def presets(name: str, file: Path | None = None) -> dict[str, dict[str, Any]]:
     """
     if name not in FIGURES:
         raise InputError(f"figure {name!r} is unknown; known are {', '.join(FIGURES)}")
-    module: Any = find_spec(f"petscjam.figures.{SETS.get(name, name)}")
+    module: Any = find_spec(f"petscjam.figures.{module_of(name)}")
     source = file or Path(module.origin).with_suffix(".toml")
     with naming(source):
         try:
@@ -194,7 +200,7 @@ def make_figure(
         data = FigureData(
             parameters, folder, comm, request.overwrite, request.existing, progress, log, engine=request.engine
         )
-        import_module(f"petscjam.figures.{SETS.get(name, name)}").draw(data)
+        import_module(f"petscjam.figures.{module_of(name)}").draw(data)
         text = data.page.text(request.command, parameters.values)
         on_root(comm, write_atomically, page, text.encode())
         on_root(comm, write_atomically, table, data.page.table.encode())

@@ -61,7 +61,7 @@ def _draw(page: Page, linear: Mapping[str, Any], contacts: Mapping[float, Any], 
         for form, found in (("one time", uniform), ("per contact", groups)):
             for p, some in found.items():
                 _draw_mean(row[0], some, colour(p), form, f"p = {p:.2g} ({len(some)})")
-            _note(page, alpha, form, found)
+            note_exponents(page, alpha, form, found)
         _draw_ratio(row[1], uniform, groups, colour)
         low, height = first.omega.min(), abs(uniform[max(uniform)][0].values.imag).min()
         guide(row[0], (3 * low, 300 * low), float(height), alpha, f"slope {alpha:.2g}")
@@ -93,11 +93,21 @@ def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[floa
     axes.legend(frameon=False, fontsize=8)
 
 
-def _note(page: Page, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
-    """Note the slopes of eqs. 27–29 and the dependence of G″ on p at the lowest frequency."""
+def note_exponents(page: Page, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:
+    """Note the slopes of eqs. 27–29 and the dependence of G″ on p at the lowest frequency.
+
+    Parameters
+    ----------
+    page : Page
+    alpha : float
+    form : str
+        ``one time``, ``per contact`` or ``direct``.
+    groups : dict
+        Results on one grid of frequencies, by pressure.
+    """
     name = f"α = {alpha:.3g}, {form}"
     lowest = groups[min(groups)]
-    own = form == "per contact"  # docs/howto/drag.md derives the expected exponents
+    own = form != "one time"  # docs/howto/drag.md derives the expected exponents
     critical = f"{alpha / 2:.3g}" + f"; per contact {2 * alpha / (1 + 3 * alpha):.3g} expected" * own
     for what, choose, part, paper in (
         ("quasi-static G″ ~ ω^x", "quasi-static", np.imag, f"{alpha:.3g}"),

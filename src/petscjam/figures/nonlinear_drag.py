@@ -1,0 +1,161 @@
+"""The test of equivalent damping (BT, Conclusions): the nonlinear equations of motion against both of its forms.
+
+G* depends on ω and δσ through X = ω^α δσ^(α−1) alone (docs/howto/drag.md), and is computed at one δσ.
+
+Axes: w frequency, k packing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from petscjam.analysis.contact_drag import self_consistent_drag
+from petscjam.analysis.drag import NonlinearModulus, equivalent_drag
+from petscjam.analysis.nonlinear_drag import nonlinear_drag
+from petscjam.analysis.statistics import by_pressure, standard_error
+from petscjam.base.types import Array
+from petscjam.figures.data import FigureData
+from petscjam.figures.drag import note_exponents
+from petscjam.figures.page import Page
+from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
+from petscjam.parallel.comm import on_root
+from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.plots.figure import save
+from petscjam.rows.damping import ContactDamping
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from petscjam.plots.figure import Colour
+
+Groups = dict[float, list[NonlinearModulus]]  # of each pressure
+PARTS: dict[str, Callable[[Any], Array]] = {"G′": np.real, "G″": np.imag}
+RTOL = 1e-5
+
+
+def draw(data: FigureData) -> None:
+    """Compute and draw the figure."""
+    parameters = data.parameters
+    files = data.packings(parameters["particles"], parameters.points("pressure"))
+    analysis: Any = ModulusAnalysis(parameters.points("linear_omega"))
+    linear = data.results(files, analysis, [ContactDamping()], (False,), tag="linear")
+    stress, found = parameters["stress"], {}
+    for alpha in parameters.points("alphas").tolist():
+        omegas = (parameters.points("X") * stress ** (1 - alpha)) ** (1 / alpha)
+        settings = {"omegas": omegas, "stress": stress, "alpha": alpha}
+        accurate = settings | {"points": int(parameters["points"]), "rtol": RTOL}
+        found[alpha] = {
+            form: data.results(files, PackingAnalysis(analyse, own), prestress=(False,), tag=f"{tag}{alpha:.3f}")
+            for form, tag, analyse, own in (
+                ("direct", "direct", nonlinear_drag, accurate),
+                ("per contact", "contacts", self_consistent_drag, settings),
+            )
+        }
+    on_root(data.comm, _draw, data.page, linear, found, data.picture)
+
+
+def _draw(
+    page: Page, linear: Mapping[str, Any], found: Mapping[float, Mapping[str, Mapping[str, Any]]], picture: Path
+) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(17, 5.2 * len(found)), layout="constrained")
+    panels = figure.subplots(len(found), 3, squeeze=False)
+    models = {g.origin.checksum: g.model for g in linear.values()}
+    for row, (alpha, forms) in zip(panels, found.items(), strict=True):
+        direct = by_pressure(forms["direct"].values())
+        contacts = {g.origin.checksum: g for g in forms["per contact"].values()}
+        others: dict[str, Groups] = {"one time": {}, "per contact": {}}
+        for p, some in direct.items():
+            others["one time"][p] = [equivalent_drag(models[g.origin.checksum], g.omega, g.stress, alpha) for g in some]
+            others["per contact"][p] = [contacts[g.origin.checksum] for g in some]
+        _draw_row(row, alpha, direct, others)
+        for form, groups in {"direct": direct, **others}.items():
+            note_exponents(page, alpha, form, groups)
+        _note_ratios(page, alpha, direct, others)
+    save(figure, picture)
+
+
+def _draw_row(row: Any, alpha: float, direct: Groups, others: Mapping[str, Groups]) -> None:
+    colour = coloured(list(direct))
+    for p, some in direct.items():
+        X = _coefficient(some[0])
+        for part, face in zip(PARTS.values(), (colour(p), "white"), strict=True):
+            mean = np.mean([part(g.values) for g in some], axis=0)
+            label = f"p = {p:.2g} ({len(some)})" if face == colour(p) else ""
+            row[0].loglog(X, mean, "o", ms=4, color=colour(p), mfc=face, label=label)
+            for form, style in (("one time", "--"), ("per contact", "-")):
+                mean = np.mean([part(g.values) for g in others[form][p]], axis=0)
+                row[0].loglog(X, mean, style, lw=1, color=colour(p))
+        for axes, form in zip(row[1:], others, strict=True):
+            _draw_ratio(axes, X, some, others[form][p], colour(p), f"p = {p:.2g}")
+    row[0].set_title(f"α = {alpha:.3g}; symbols: direct, −: a time for each contact, − −: one time", fontsize=10)
+    row[0].set(ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+    row[1].set(ylabel="one time / direct: $G'$ (●), $G''$ (○)", yscale="log")
+    row[2].set(ylabel="per contact / direct: $G'$ (●), $G''$ (○)")
+    for axes in row:
+        axes.set(xscale="log", xlabel=r"$X=\omega^\alpha\delta\sigma^{\alpha-1}$  ($\tau_1=k=1$)")
+        axes.legend(frameon=False, fontsize=8)
+    for axes in row[1:]:
+        axes.axhline(1, color="0.6", lw=0.8)
+
+
+def _draw_ratio(
+    axes: Axes, X: Array, direct: list[NonlinearModulus], form: list[NonlinearModulus], colour: Colour, label: str
+) -> None:
+    for part, face, text in zip(PARTS.values(), (colour, "white"), (label, ""), strict=True):
+        ratios = _ratios(part, direct, form)
+        axes.errorbar(
+            X,
+            ratios.mean(0),
+            np.nan_to_num(standard_error(ratios)),
+            fmt="o-",
+            ms=3,
+            lw=0.8,
+            color=colour,
+            mfc=face,
+            label=text,
+        )
+
+
+def _ratios(part: Callable[[Any], Array], direct: list[NonlinearModulus], form: list[NonlinearModulus]) -> Array:
+    """Return the ratio of ``form`` to ``direct`` for each packing, (k, w)."""
+    return np.array([part(g.values) / part(exact.values) for exact, g in zip(direct, form, strict=True)])
+
+
+def _coefficient(g: NonlinearModulus) -> Array:
+    """Return X = ω^α δσ^(α−1) (w,)."""
+    return g.omega**g.alpha * g.stress ** (g.alpha - 1)
+
+
+def _third(some: list[NonlinearModulus]) -> Array:
+    """Return |γ₃/γ₁| (k, w)."""
+    return np.abs(np.array([g.third for g in some]))
+
+
+def _note_ratios(page: Page, alpha: float, direct: Groups, others: Mapping[str, Groups]) -> None:
+    """Note the ratios of each form to the direct solution, and the third harmonic."""
+    for form, groups in others.items():
+        for name, part in PARTS.items():
+            for p, some in direct.items():
+                ratios, X = _ratios(part, some, groups[p]), _coefficient(some[0])
+                what = f"α = {alpha:.3g}, p = {p:.2g}: {name} of {form} / direct"
+                worst = int(np.argmax(abs(np.log(ratios.mean(0)))))
+                page.mean(f"{what}, largest deviation", ratios[:, worst], "", f"X = {X[worst]:.1e}")
+                for x, mean, error in zip(X, ratios.mean(0), np.atleast_1d(standard_error(ratios)), strict=True):
+                    page.number(what, x, float(mean), float(error))
+    for p, some in direct.items():
+        third = _third(some)
+        for x, mean, error in zip(_coefficient(some[0]), third.mean(0), standard_error(third), strict=True):
+            page.number(f"α = {alpha:.3g}, p = {p:.2g}: |γ₃/γ₁|", x, float(mean), float(error))
+    every = [g for some in direct.values() for g in some]
+    page.tallies.append(
+        f"α = {alpha:.3g}: {len(every)} packings; largest |γ₃/γ₁| = {_third(every).max():.2g}; "
+        f"mismatch of velocities at most {max(g.tau_changes.max() for g in every):.0e}, change of G* in the last "
+        f"iteration {max(g.changes.max() for g in every):.0e}, residual of a solve "
+        f"{max(g.residuals.max() for g in every):.0e}."
+    )
