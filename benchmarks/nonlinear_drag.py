@@ -1,6 +1,6 @@
-"""How good the two forms of equivalent damping are: the nonlinear equations in time, and exponents.
+"""How good the two forms of equivalent damping and harmonic balance are: motion in time, exponents, convergence.
 
-    python benchmarks/nonlinear_drag.py [--particles 1024] [--seeds 5] [--only errors|slopes|floor]
+    python benchmarks/nonlinear_drag.py [--particles 1024] [--seeds 5] [--only errors|slopes|floor|points]
 
 Prints the tables of docs/howto/drag.md. δσ = 1 throughout: only X = ω^α δσ^(α−1) counts. Paths in time are
 followed until they close after half a cycle, u(t + T/2) = −u(t). Errors of slopes are those over packings.
@@ -26,6 +26,7 @@ X_IN_TIME = np.geomspace(1e-4, 10, 11)
 STEPS, CLOSED, MOST = 64, 1e-4, 24  # time steps of half a cycle; when a path is closed; half cycles at most
 PRESSURES = (1e-2, 1e-3, 1e-4)
 CRITICAL = (5, 0.1)  # ωτ, from so many times p to this
+X_OF_POINTS, POINTS, REFERENCE = np.array([1e-6, 1e-4, 1e-2, 1.0]), (16, 32, 64), 256
 X_OF_SLOPES, QUASISTATIC = np.geomspace(1e-4, 1, 25), np.array([1e-6])
 
 
@@ -133,6 +134,8 @@ def print_errors():
             G = true(equations(packing, prestress), alpha, omegas, taus)
             cells[f"{name}, a time for each contact"].append(_errors(each.values, G))
             cells[f"{name}, one time"].append(_errors(one.values, G))
+            direct = pj.nonlinear_drag(packing, omegas, 1.0, alpha, prestress=prestress)
+            cells[f"{name}, harmonic balance"].append(_errors(direct.values, G))
             spans[name].append(omegas * each.tau)
     print("| largest error of G\\*, and of G″ | " + " | ".join(f"α = {a}" for a in EXPONENTS) + " |")
     print("|---|" + "---|" * len(EXPONENTS))
@@ -145,7 +148,7 @@ def print_errors():
 
 def _errors(values, true):
     """Return the largest |ΔG*|/|G*| and |ΔG″|/G″."""
-    return f"{abs(values / true - 1).max():.1%}, {abs(values.imag / true.imag - 1).max():.1%}"
+    return f"{abs(values / true - 1).max():.2%}, {abs(values.imag / true.imag - 1).max():.2%}"
 
 
 def _order(packing):
@@ -210,17 +213,38 @@ def print_floor(particles):
         print(f"α = {name}: a floor of 1e-4, 1e-2 instead of 1e-6 moves G* by {moved}")
 
 
+# ---- convergence of harmonic balance
+
+
+def print_points(particles):
+    """Print the errors of G′ and G″ against the number of times of a cycle."""
+    packing = pj.prepare_packing(particles, 1e-4, 1)
+    print("| α, times of a cycle | " + " | ".join(f"X = {x:.0e}" for x in X_OF_POINTS) + " | iterations |")
+    print("|---|" + "---|" * (len(X_OF_POINTS) + 1))
+    for name, alpha in EXPONENTS.items():
+        found = {
+            points: pj.nonlinear_drag(packing, X_OF_POINTS ** (1 / alpha), 1.0, alpha, prestress=False, points=points)
+            for points in (*POINTS, REFERENCE)
+        }
+        for points in POINTS:
+            pairs = zip(found[points].values, found[REFERENCE].values, strict=True)
+            errors = [f"{abs(a.real / b.real - 1):.0e}, {abs(a.imag / b.imag - 1):.0e}" for a, b in pairs]
+            most = found[points].iterations.max()
+            print(f"| {name}, {points} | " + " | ".join(errors) + f" | {most} |")
+
+
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--particles", type=int, default=1024)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--only", choices=["errors", "slopes", "floor"])
+    parser.add_argument("--only", choices=["errors", "slopes", "floor", "points"])
     options = parser.parse_args()
     parts = {
         "errors": print_errors,
         "slopes": lambda: print_slopes(options.particles, options.seeds),
         "floor": lambda: print_floor(options.particles),
+        "points": lambda: print_points(options.particles),
     }
     for name, work in parts.items():
         if options.only in (None, name):

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 Groups = dict[float, list[NonlinearModulus]]  # of each pressure
 PARTS: dict[str, Callable[[Any], Array]] = {"G′": np.real, "G″": np.imag}
 RTOL = 1e-5
+STYLES = {"direct": "o", "one time": "--", "per contact": "-"}
+STRESSES = (0.1, 1.0, 10.0)  # times the one of the preset, which are drawn
 
 
 def draw(data: FigureData) -> None:
@@ -63,8 +65,8 @@ def _draw(
 ) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(17, 5.2 * len(found)), layout="constrained")
-    panels = figure.subplots(len(found), 3, squeeze=False)
+    figure = Figure(figsize=(22, 5.2 * len(found)), layout="constrained")
+    panels = figure.subplots(len(found), 4, squeeze=False)
     models = {g.origin.checksum: g.model for g in linear.values()}
     for row, (alpha, forms) in zip(panels, found.items(), strict=True):
         direct = by_pressure(forms["direct"].values())
@@ -81,27 +83,46 @@ def _draw(
 
 
 def _draw_row(row: Any, alpha: float, direct: Groups, others: Mapping[str, Groups]) -> None:
-    colour = coloured(list(direct))
+    whole, against_stress, *ratios = row
+    colour, lowest = coloured(list(direct)), min(direct)
     for p, some in direct.items():
-        X = _coefficient(some[0])
-        for part, face in zip(PARTS.values(), (colour(p), "white"), strict=True):
-            mean = np.mean([part(g.values) for g in some], axis=0)
-            label = f"p = {p:.2g} ({len(some)})" if face == colour(p) else ""
-            row[0].loglog(X, mean, "o", ms=4, color=colour(p), mfc=face, label=label)
-            for form, style in (("one time", "--"), ("per contact", "-")):
-                mean = np.mean([part(g.values) for g in others[form][p]], axis=0)
-                row[0].loglog(X, mean, style, lw=1, color=colour(p))
-        for axes, form in zip(row[1:], others, strict=True):
-            _draw_ratio(axes, X, some, others[form][p], colour(p), f"p = {p:.2g}")
-    row[0].set_title(f"α = {alpha:.3g}; symbols: direct, −: a time for each contact, − −: one time", fontsize=10)
-    row[0].set(ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-    row[1].set(ylabel="one time / direct: $G'$ (●), $G''$ (○)", yscale="log")
-    row[2].set(ylabel="per contact / direct: $G'$ (●), $G''$ (○)")
+        forms = {"direct": some} | {form: groups[p] for form, groups in others.items()}
+        _draw_moduli(whole, _coefficient, forms, colour(p), f"p = {p:.2g} ({len(some)})")
+        for axes, form in zip(ratios, others, strict=True):
+            _draw_ratio(axes, _coefficient(some[0]), some, forms[form], colour(p), f"p = {p:.2g}")
+    stresses = [direct[lowest][0].stress * factor for factor in STRESSES]
+    colour = coloured(stresses)
+    for stress in stresses:
+        forms = {"direct": direct[lowest]} | {form: groups[lowest] for form, groups in others.items()}
+        moved = {form: [g.at(stress) for g in some] for form, some in forms.items()}
+        _draw_moduli(against_stress, lambda g: g.omega, moved, colour(stress), rf"$\delta\sigma$ = {stress:.2g}")
+    whole.set_title(f"α = {alpha:.3g}; symbols: direct, −: a time for each contact, − −: one time", fontsize=10)
+    against_stress.set_title(f"p = {lowest:.2g}", fontsize=10)
+    for axes in (whole, against_stress):
+        axes.set(yscale="log", ylabel="$G'$ (●), $G''$ (○)  (units of $k$)")
+    ratios[0].set(yscale="log")
+    for axes, form in zip(ratios, others, strict=True):
+        axes.set(ylabel=f"{form} / direct: $G'$ (●), $G''$ (○)")
+        axes.axhline(1, color="0.6", lw=0.8)
     for axes in row:
         axes.set(xscale="log", xlabel=r"$X=\omega^\alpha\delta\sigma^{\alpha-1}$  ($\tau_1=k=1$)")
         axes.legend(frameon=False, fontsize=8)
-    for axes in row[1:]:
-        axes.axhline(1, color="0.6", lw=0.8)
+    against_stress.set(xlabel=r"$\omega\tau_1$")
+
+
+def _draw_moduli(
+    axes: Axes,
+    x: Callable[[NonlinearModulus], Array],
+    forms: Mapping[str, list[NonlinearModulus]],
+    colour: Colour,
+    label: str,
+) -> None:
+    """Draw the means of G′ and G″ over packings, of every form."""
+    for form, some in forms.items():
+        for part, face in zip(PARTS.values(), (colour, "white"), strict=True):
+            mean, named = np.mean([part(g.values) for g in some], axis=0), form == "direct" and face == colour
+            style: dict[str, Any] = {"lw": 1, "ms": 4, "color": colour, "mfc": face, "label": label if named else ""}
+            axes.plot(x(some[0]), mean, STYLES[form], **style)
 
 
 def _draw_ratio(
@@ -145,7 +166,7 @@ def _note_ratios(page: Page, alpha: float, direct: Groups, others: Mapping[str, 
                 ratios, X = _ratios(part, some, groups[p]), _coefficient(some[0])
                 what = f"α = {alpha:.3g}, p = {p:.2g}: {name} of {form} / direct"
                 worst = int(np.argmax(abs(np.log(ratios.mean(0)))))
-                page.mean(f"{what}, largest deviation", ratios[:, worst], "", f"X = {X[worst]:.1e}")
+                page.mean(f"{what}, largest deviation", ratios[:, worst], "1", f"X = {X[worst]:.1e}")
                 for x, mean, error in zip(X, ratios.mean(0), np.atleast_1d(standard_error(ratios)), strict=True):
                     page.number(what, x, float(mean), float(error))
     for p, some in direct.items():
