@@ -73,6 +73,20 @@ def solids(results: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     return stable, title + f", {left_out} not stable, left out" * (left_out > 0)
 
 
+def legend(axes: Axes) -> None:
+    """Draw a legend in which each label is once."""
+    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
+
+
+def heading(results: Mapping[str, Any]) -> str:
+    """Return number of disks and pressure, or of packings, and the law, or their number."""
+    first = next(iter(results.values()))
+    count, laws = len({r.origin.checksum for r in results.values()}), {r.damping for r in results.values()}
+    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}" if count == 1 else f"{count} packings"
+    return f"{title}; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
+
+
 def given(prestress: bool) -> str:
     """Return ``with pre-stress`` or ``without pre-stress``."""
     return f"with{'' if prestress else 'out'} pre-stress"

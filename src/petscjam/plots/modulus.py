@@ -9,7 +9,7 @@ import numpy as np
 
 from petscjam.analysis.statistics import alike, average
 from petscjam.base.errors import InputError, SolverError
-from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, arrows, draw_cell, given
+from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, arrows, draw_cell, given, heading
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
@@ -73,12 +73,10 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
     axes.legend(loc="upper left", frameon=False)
     count = len({g.origin.checksum for g in results.values()})
-    title = f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}" if one else f"{count} packings"
-    laws = {g.damping for g in results.values()}
-    title += f"; {first.damping if len(laws) == 1 else f'{len(laws)} laws'}"
+    title = heading(results)
     if len({g.prestress for g in results.values()}) == 1:
         title += f"; {given(first.prestress)}"
-    title += f"; {first.strain}" + f"; {first.inertia}" * bool(first.inertia)
+    title += f"; {first.strain}" + rf"; {first.inertia} $k\tau_1^2$" * bool(first.inertia)
     axes.set_title(title, fontsize=10)
     if bad:
         text = bad[0].state if one else f"{len({g.origin.checksum for g in bad})} of {count} packings not stable"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.step_strain import StepStrain
-from petscjam.plots.figure import STORAGE
+from petscjam.plots.figure import STORAGE, heading, legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,27 +24,19 @@ def step_figure(results: Mapping[str, StepStrain]) -> Figure:
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     axes = figure.subplots()
     steps = sorted({float(a) for r in results.values() for a in r.step})
-    first = next(iter(results.values()))
-    for k, r in enumerate(results.values()):
-        axes.plot(r.time, r.linear, "-", color=STORAGE, lw=1, label="linear, $G(t)$" if k == 0 else None)
+    for r in results.values():
+        axes.plot(r.time, r.linear, "-", color=STORAGE, lw=1, label="linear, $G(t)$")
         for a, row in zip(r.step, r.modulus, strict=True):
             place = steps.index(float(a))
             colour = colormaps["viridis"](0.9 * place / max(len(steps) - 1, 1))
-            label = rf"$\gamma$ = {a:.2g}" if k == 0 else None
-            axes.plot(
-                r.time, np.where(row > 0, row, np.nan), MARKERS[place % len(MARKERS)], ms=5, color=colour, label=label
-            )
+            shown, marker = np.where(row > 0, row, np.nan), MARKERS[place % len(MARKERS)]
+            axes.plot(r.time, shown, marker, ms=5, color=colour, label=rf"$\gamma$ = {a:.2g}")
     axes.set(
         xscale="log",
         yscale="log",
         xlabel=r"time after the step $t/\tau_1$",
         ylabel=r"$\Delta\sigma/\gamma$  (units of $k$)",
     )
-    title = (
-        f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}"
-        if len(results) == 1
-        else f"{len(results)} results"
-    )
-    axes.set_title(f"{title}; {first.damping}", fontsize=10)
-    axes.legend(frameon=False, fontsize=8)
+    axes.set_title(heading(results), fontsize=10)
+    legend(axes)
     return figure
