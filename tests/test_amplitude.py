@@ -53,12 +53,42 @@ def test_moduli_of_a_lattice_fall_as_its_bonds_turn():
 
 def test_large_amplitudes_change_contacts_and_soften(packing):
     r = oscillate(packing, [0.1, 1e-3, 3e-2, 1e-5], [0.1], cycles=5)
-    order = np.argsort(r.amplitude)
-    assert r.values[0, 0].real < 0.9 * r.values[3, 0].real
-    assert (np.diff(r.changes[order, 0]) >= 0).all()
-    assert r.changes[0, 0] > 0.1
+    assert r.amplitude.tolist() == [1e-5, 1e-3, 3e-2, 0.1]
+    assert r.values[3, 0].real < 0.9 * r.values[0, 0].real
+    assert (np.diff(r.changes[:, 0]) >= 0).all()
+    assert r.changes[3, 0] > 0.1
     assert 1e-3 < r.onset[0] < 0.1
-    assert r.departure[3, 0] == 0
+    assert r.departure[0, 0] == 0
+
+
+def test_an_amplitude_or_a_frequency_twice_counts_once(packing):
+    """The progress goes up to 1."""
+    parts = []
+    r = oscillate(
+        packing, [1e-2, 1e-3, 1e-2], [1.0, 1.0], cycles=3, damping=CENTRES, progress=lambda *new: parts.append(new[0])
+    )
+    assert r.values.shape == (2, 1)
+    assert parts == sorted(parts)
+    assert parts[-1] == pytest.approx(1)
+
+
+def test_a_turned_packing_has_the_moduli_of_its_edge(packing):
+    """Engine and linear response shear along the same edge of the cell."""
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, s], [-s, c]])
+    turned = replace(packing, positions=packing.positions @ turn, box=pj.Box(packing.box.cell @ turn))
+    a, b = (oscillate(p, [1e-3], [1.0], cycles=3, damping=CENTRES) for p in (packing, turned))
+    assert b.linear == pytest.approx(a.linear, rel=1e-8)
+    assert b.values == pytest.approx(a.values, rel=1e-6)
+    assert b.origin.checksum == turned.checksum
+    assert any("turned by -28.6479 degrees" in note for note in b.notes)
+
+
+def test_doubts_about_a_run_are_notes(packing, monkeypatch):
+    monkeypatch.setattr("petscjam.md.result.MISSED", 1e-9)
+    notes = oscillate(packing, [1e-3, 1e-2], [1.0], cycles=3, damping=CENTRES).notes
+    assert any(note.startswith("amplitude 0.01, omega 1: the energy budget misses") for note in notes)
+    assert len(notes) == 2
 
 
 def made(values, amplitude):
@@ -85,8 +115,8 @@ def made(values, amplitude):
 
 
 def test_the_onset_is_interpolated_in_the_logarithm():
-    """Departures 0.01 and 1 at 1e-3 and 1e-1: 0.1 at 1e-2. The last departure counts; NaN without one."""
-    r = made([[1.0, 1.0, 1.0], [0.99, 1.01, 2.0], [0.0, 1.05, 1.0]], [1e-5, 1e-3, 1e-1])
+    """Departures 0.01 and 1 at 1e-3 and 1e-1: 0.1 at 1e-2. The last departure counts; NaN if it is not enclosed."""
+    r = made([[1.0, 1.0, 1.0, 1.0], [0.99, 1.01, 2.0, 1.2], [0.0, 1.05, 1.0, 1.3]], [1e-5, 1e-3, 1e-1])
     assert r.onset[0] == pytest.approx(1e-2)
     assert np.isnan(r.onset[1:]).all()
 

@@ -1,5 +1,7 @@
 """Stress after a step of strain: the certified G(t), an affine lattice at any strain, and the verb."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import jammed, triangular_lattice
@@ -50,6 +52,28 @@ def test_a_lattice_moves_affinely_by_any_step():
             stress -= max(1 - length, 0) * x * y / length / area
         assert modulus == pytest.approx(stress / gamma, rel=1e-6)
     assert r.changes.tolist() == [0, 0, 0]
+
+
+def test_a_large_step_takes_little_of_the_earliest_time():
+    """The strain is applied in time steps of 0.03 of the mass over kτ1, 1e-4 each: less than a tenth of t in all."""
+    r = pj.step_strain(triangular_lattice(4), [0.1], [10.0, 20.0], damping=CENTRES, inertia=1e-2)
+    assert (0.03 * r.mass * 1000 <= 0.1 * r.time[0]).all()
+
+
+def test_doubts_about_a_run_are_notes(packing, monkeypatch):
+    monkeypatch.setattr("petscjam.md.result.MISSED", 1e-9)
+    notes = pj.step_strain(packing, [1e-3, 1e-2], [5.0], damping=CENTRES, inertia=4e-3).notes
+    assert any(note.startswith("step 0.01, t to 5: the energy budget misses") for note in notes)
+    assert len(notes) == 2
+
+
+def test_a_turned_packing_has_the_modulus_of_its_edge(packing):
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, s], [-s, c]])
+    turned = replace(packing, positions=packing.positions @ turn, box=pj.Box(packing.box.cell @ turn))
+    a, b = (pj.step_strain(p, [1e-3], [5.0, 10.0], damping=CENTRES, inertia=4e-3) for p in (packing, turned))
+    assert b.linear == pytest.approx(a.linear, rel=1e-6)
+    assert b.modulus == pytest.approx(a.modulus, rel=1e-6)
 
 
 def test_results_do_not_depend_on_the_unit_of_length():

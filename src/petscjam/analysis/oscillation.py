@@ -8,7 +8,7 @@ Axes: a amplitude, w frequency, h harmonic (3 and 5).
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,7 +26,7 @@ from petscjam.md.oscillations import harmonics
 from petscjam.md.recording import Steps
 from petscjam.md.result import Run
 from petscjam.md.runs import begin, engine_of, finish
-from petscjam.md.starts import given_state
+from petscjam.md.starts import along_x, given_state
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.origin import Result, Verb, frequencies, stored
@@ -45,13 +45,13 @@ class Oscillations(Result):
     Attributes
     ----------
     amplitude : (A,)
-        γ0.
+        γ0, ascending.
     omega : (W,)
-        Angular frequencies, 1/τ1.
+        Angular frequencies, 1/τ1, ascending.
     mass : float
         Of every disk, kτ1².
     cycles : int
-        Of each oscillation; a quarter of them, the transient, is left out of the means.
+        Of each oscillation; a quarter of them, the transient, and the last are left out of the means.
     values : (A, W) complex
         G′ + iG″, the first harmonic of the stress over γ0.
     scatter : (A, W) complex
@@ -87,35 +87,33 @@ class Oscillations(Result):
     @property
     def departure(self) -> Array:
         """|G*/G*(smallest γ0) − 1|, (A, W)."""
-        return np.asarray(np.abs(self.values / self.values[self.amplitude.argmin()] - 1))
+        return np.asarray(np.abs(self.values / self.values[0] - 1))
 
     @property
     def onset(self) -> Array:
         """γ†, (W,): the amplitude from which on G* departs by a tenth from that at the smallest amplitude.
 
-        Interpolated in the logarithms of both; NaN if it does not depart.
+        Interpolated in the logarithms of both; NaN if it does not depart, or does already at the second amplitude.
         """
         found = np.full(len(self.omega), np.nan)
-        order = np.argsort(self.amplitude)
-        x, y = np.log(self.amplitude[order]), np.log(np.maximum(self.departure[order], 1e-300) / DEPARTS)
+        x, y = np.log(self.amplitude), np.log(np.maximum(self.departure, 1e-300) / DEPARTS)
         for w, column in enumerate(y.T):
             within = np.flatnonzero(column <= 0)[-1]
-            if within + 1 < len(x):
+            if 0 < within < len(x) - 1:
                 a, b = column[within : within + 2]
                 found[w] = np.exp(x[within] - a / (b - a) * (x[within + 1] - x[within]))
         return found
 
     def row(self) -> dict[str, float | str]:
         """Return its line of the table: the lowest frequency, smallest and largest amplitude."""
-        w, (least, most) = int(self.omega.argmin()), (int(pick(self.amplitude)) for pick in (np.argmin, np.argmax))
         return {
             "law": str(self.damping),
             "mass": self.mass,
-            "omega": self.omega[w],
-            "G' linear": self.linear[w].real,
-            f"G' at {self.amplitude[least]:.3g}": self.values[least, w].real,
-            f"G' at {self.amplitude[most]:.3g}": self.values[most, w].real,
-            "onset": self.onset[w],
+            "omega": self.omega[0],
+            "G' linear": self.linear[0].real,
+            f"G' at {self.amplitude[0]:.3g}": self.values[0, 0].real,
+            f"G' at {self.amplitude[-1]:.3g}": self.values[-1, 0].real,
+            "onset": self.onset[0],
         }
 
 
@@ -172,7 +170,7 @@ def oscillate(
     Parameters
     ----------
     packing : Packing
-        Any cell. One that is not a proved minimum is allowed: the notes of the result say so.
+        Any cell; it is turned if no edge is along x. One that is not a proved minimum is allowed: the notes say so.
     amplitudes : (A,) array_like
         γ0.
     omegas : (W,) array_like
@@ -197,8 +195,8 @@ def oscillate(
     """
     comm = resolve(comm)
     agree(comm, packing, amplitudes, omegas, mass, cycles, engine, damping, prestress)
-    law, omega = law_or_default(damping), frequencies(omegas)
-    gamma = np.atleast_1d(np.asarray(amplitudes, dtype=float)).ravel()
+    law, omega = law_or_default(damping), np.unique(frequencies(omegas))
+    gamma = np.unique(np.asarray(amplitudes, dtype=float))
     if not len(gamma):
         raise InputError("amplitude: there is none")
     for value in gamma:
@@ -207,9 +205,10 @@ def oscillate(
     CYCLES.check("cycles", cycles)
     if not prestress:
         raise InputError("oscillate: the disks exert their contact forces, so pre-stress cannot be left out")
-    linear = complex_modulus(packing, omega, damping=law, mass=mass, comm=comm, name=name)
+    turned, notes = sheared(packing)
+    linear = complex_modulus(turned, omega, damping=law, mass=mass, comm=comm, name=name)
     tasks = [Task(float(a), float(w)) for a in gamma for w in omega]
-    found = on_root(comm, _measured, tasks, packing, law, mass, cycles, engine, progress)
+    found, doubts = on_root(comm, _measured, tasks, turned, law, mass, cycles, engine, progress)
     values = {
         key: np.array(column).reshape(len(gamma), len(omega))
         for key, column in zip(Measure._fields, zip(*found, strict=True), strict=True)
@@ -222,10 +221,17 @@ def oscillate(
         cycles=int(cycles),
         linear=linear.values,
         higher=higher,
-        origin=linear.origin,
-        notes=linear.notes,
+        origin=replace(linear.origin, checksum=packing.checksum),
+        notes=(*linear.notes, *notes, *doubts),
         **values,
     )
+
+
+def sheared(packing: Packing) -> tuple[Packing, tuple[str, ...]]:
+    """Return a packing as the engine shears it, with an edge of its cell along x, and a note if it had to be turned."""
+    turned, angle = along_x(packing)
+    note = f"the packing is turned by {np.degrees(-angle):.6g} degrees: an edge of its cell must be along x"
+    return turned, (note,) if angle else ()
 
 
 class Task(NamedTuple):
@@ -249,12 +255,14 @@ class Measure(NamedTuple):
 
 def _measured(
     tasks: list[Task], packing: Packing, law: DampingLaw, mass: float, cycles: int, engine: str, progress: Report | None
-) -> list[Measure]:
-    """Make the oscillations, on this rank."""
+) -> tuple[list[Measure], list[str]]:
+    """Make the oscillations, on this rank; return their numbers, and the reasons to doubt them."""
     units, (start, _) = Units.of(packing, mass), given_state(packing)
     assert start is not None
     parts: dict[Task, float] = dict.fromkeys(tasks, 0.0)
+    before: dict[Task, Run] = {}
     found: dict[Task, Measure] = {}
+    doubts: dict[Task, str] = {}
 
     def report(task: Task, first: float, share: float, fraction: float, text: str) -> None:
         parts[task] = first + share * fraction
@@ -272,30 +280,33 @@ def _measured(
         dt = period / max(int(np.ceil(period / longest)), LEAST)
         make: Any = partial(begin, model=law, Q=units.Q, engine=engine, dt=dt)
         share = 1 - 1 / cycles
-        before = yield from make(
+        before[task] = yield from make(
             protocols.oscillation(task.amplitude, omega, cycles - 1),
             start=start,
             progress=partial(report, task, 0.0, share),
         )
-        last = yield from make(
-            protocols.oscillation(task.amplitude, omega, 1),
-            start=before.state,
-            progress=partial(report, task, share, 1 - share),
+        return (
+            yield from make(
+                protocols.oscillation(task.amplitude, omega, 1),
+                start=before[task].state,
+                progress=partial(report, task, share, 1 - share),
+            )
         )
-        found[task] = _measure(before, last, units)
-        return last
 
-    def done(task: Task, run: Run) -> None:
-        """Nothing is left to do."""
+    def done(task: Task, last: Run) -> None:
+        earlier = before.pop(task)
+        found[task] = _measure(earlier, last, units)
+        if reasons := dict.fromkeys([*earlier.warnings, *last.warnings]):
+            doubts[task] = f"amplitude {task.amplitude:.3g}, omega {task.omega:.3g}: {'; '.join(reasons)}"
 
     abreast = getattr(engine_of(engine), "abreast", None)
     if abreast is None:
         for task in tasks:
-            finish(steps(task))
+            done(task, finish(steps(task)))
     else:
         for task, error in abreast(tasks, steps, done):
             raise SolverError(f"amplitude {task.amplitude:g}, omega {task.omega:g}: {error}") from error
-    return [found[task] for task in tasks]
+    return [found[task] for task in tasks], [doubts[task] for task in tasks if task in doubts]
 
 
 def _measure(before: Run, last: Run, units: Units) -> Measure:
@@ -338,7 +349,7 @@ def _options(parser: ArgumentParser) -> None:
     )
     text = "of every disk, in k tau1^2 (default 1); small masses take more time steps"
     parser.add_argument("--mass", type=arguments.Within(arguments.number, ranges.INERTIA), default=1.0, help=text)
-    text = "cycles of each oscillation; a quarter of them is left out of the means (default 8)"
+    text = "cycles of each oscillation; a quarter of them and the last are left out of the means (default 8)"
     parser.add_argument("--cycles", type=arguments.Within(arguments.integer, CYCLES), default=8, metavar="K", help=text)
     text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, all oscillations of a packing at once (default cpu)"
     parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)

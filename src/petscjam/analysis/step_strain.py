@@ -6,13 +6,13 @@ Axes: a step, t time.
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from petscjam.analysis.oscillation import Units
+from petscjam.analysis.oscillation import Units, sheared
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
@@ -21,7 +21,7 @@ from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.md import protocols
 from petscjam.md.model import Model
-from petscjam.md.runs import run
+from petscjam.md.runs import begin, finish
 from petscjam.md.starts import given_state
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
 from petscjam.response.origin import Result, Verb, stored
@@ -32,6 +32,7 @@ STEP = ranges.Range(1e-12, 10)
 TIMES = ranges.Range(1e-6, 1e12)
 INERTIA, HEAVIEST = 2e-4, 0.1  # largest mass, in kt² with the earliest time t of a run, and in kτ1²
 FEWEST, FINEST = 4, 1e-4  # time steps in which the strain is applied, and its largest part
+AT_ONCE = 0.1  # longest time of the strain, in earliest times
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +42,9 @@ class StepStrain(Result):
     Attributes
     ----------
     step : (A,)
-        γ.
+        γ, ascending.
     time : (T,)
-        After the step, τ1.
+        After the step, τ1, ascending.
     modulus : (A, T)
         [σ(t) − σ(before)]/γ.
     linear : (T,)
@@ -66,14 +67,13 @@ class StepStrain(Result):
 
     def row(self) -> dict[str, float | str]:
         """Return its line of the table."""
-        k, (least, most) = int(self.time.argmax()), (int(self.step.argmin()), int(self.step.argmax()))
         return {
             "law": str(self.damping),
-            "t": self.time[k],
-            "G linear": self.linear[k],
-            f"G at {self.step[least]:.3g}": self.modulus[least, k],
-            f"G at {self.step[most]:.3g}": self.modulus[most, k],
-            "changes": self.changes[most],
+            "t": self.time[-1],
+            "G linear": self.linear[-1],
+            f"G at {self.step[0]:.3g}": self.modulus[0, -1],
+            f"G at {self.step[-1]:.3g}": self.modulus[-1, -1],
+            "changes": self.changes[-1],
         }
 
 
@@ -97,13 +97,14 @@ def step_strain(
     Parameters
     ----------
     packing : Packing
-        Any cell.
+        As for :func:`petscjam.oscillate`.
     steps : (A,) array_like
         γ.
     times : (T,) array_like
         In τ1.
     inertia : float
-        The mass in kt², at the earliest time t of a run; it is at most 0.1 kτ1².
+        The mass in kt², at the earliest time t of a run; it is at most 0.1 kτ1², and smaller if the largest step would
+        take more than t/10.
     engine : str
         A name of :data:`petscjam.md.runs.ENGINES`.
     damping, comm, name, progress
@@ -121,7 +122,7 @@ def step_strain(
     comm = resolve(comm)
     agree(comm, packing, steps, times, inertia, engine, damping, prestress)
     law = law_or_default(damping)
-    gamma, t = (np.unique(np.atleast_1d(np.asarray(some, dtype=float))) for some in (steps, times))
+    gamma, t = (np.unique(np.asarray(some, dtype=float)) for some in (steps, times))
     for what, some, known in (("strain", gamma, STEP), ("time", t, TIMES)):
         if not len(some):
             raise InputError(f"{what}: there is none")
@@ -130,24 +131,23 @@ def step_strain(
     ranges.Range(1e-9, 1).check("inertia", inertia)
     if not prestress:
         raise InputError("step-strain: the disks exert their contact forces, so pre-stress cannot be left out")
-    model = spectrum(packing, (0.01 / t[-1], 100 / t[0]), damping=law, displacements=False, comm=comm, name=name)
+    turned, notes = sheared(packing)
+    model = spectrum(turned, (0.01 / t[-1], 100 / t[0]), damping=law, displacements=False, comm=comm, name=name)
     decade = np.floor(np.log10(t / t[0]) + 1e-9)
     groups = [t[decade == k] for k in np.unique(decade)]
-    soft = Units.of(packing, 1.0).stress
-    runs = [
-        Relax(float(a), some, min(inertia * some[0] ** 2 / soft, HEAVIEST * soft)) for a in gamma for some in groups
-    ]
-    found = on_root(comm, _relaxed, runs, packing, law, engine, progress)
-    moduli, changes = zip(*found, strict=True)
+    masses = [_mass(turned, law, gamma[-1], some[0], inertia) for some in groups]
+    runs = [Relax(float(a), *each) for a in gamma for each in zip(groups, masses, strict=True)]
+    found = on_root(comm, _relaxed, runs, turned, law, engine, progress)
+    moduli, changes, doubts = zip(*found, strict=True)
     return StepStrain(
         step=gamma,
         time=t,
         modulus=np.concatenate(moduli).reshape(len(gamma), len(t)),
         linear=model.G(t),
-        mass=np.concatenate([np.full(len(one.times), one.mass) for one in runs[: len(groups)]]),
+        mass=np.repeat(masses, [len(some) for some in groups]),
         changes=np.reshape(changes, (len(gamma), len(groups)))[:, -1],
-        origin=model.origin,
-        notes=model.notes,
+        origin=replace(model.origin, checksum=packing.checksum),
+        notes=(*model.notes, *notes, *filter(None, doubts)),
     )
 
 
@@ -159,20 +159,36 @@ class Relax(NamedTuple):
     mass: float
 
 
+def _applied(packing: Packing, law: DampingLaw, step: float, mass: float) -> tuple[Units, float, float]:
+    """Return the units of a run, its time step, and the time in which the strain is applied, in τe."""
+    units = Units.of(packing, mass)
+    dt = Model.of(law, units.Q, potential=packing.potential).step(None, "heun") / 2
+    return units, dt, max(FEWEST, int(np.ceil(step / FINEST))) * dt
+
+
+def _mass(packing: Packing, law: DampingLaw, step: float, earliest: float, inertia: float) -> float:
+    """Return the mass of a run, kτ1²."""
+    soft = Units.of(packing, 1.0).stress
+    mass = min(inertia * earliest**2 / soft, HEAVIEST * soft)
+    while True:
+        units, _, ramp = _applied(packing, law, step, mass)
+        if ramp * units.rate <= AT_ONCE * earliest:
+            return mass
+        mass /= 2
+
+
 def _relaxed(
     runs: list[Relax], packing: Packing, law: DampingLaw, engine: str, progress: Report | None
-) -> list[tuple[Array, float]]:
-    """Return [σ(t) − σ(before)]/γ, (T,), and the contacts made and broken by contact, of each run."""
+) -> list[tuple[Array, float, str]]:
+    """Return [σ(t) − σ(before)]/γ, (T,), contacts made and broken by contact, and doubts, of each run."""
     start, _ = given_state(packing)
     assert start is not None
     before = -ContactNetwork.of(start.packing()).stress[0, 1]
     cost = np.array([one.times[-1] / one.mass for one in runs])
-    found: list[tuple[Array, float]] = []
+    found: list[tuple[Array, float, str]] = []
     for k, one in enumerate(runs):
-        units = Units.of(packing, one.mass)
-        dt = Model.of(law, units.Q, potential=packing.potential).step(None, "heun") / 2
+        units, dt, ramp = _applied(packing, law, one.step, one.mass)
         end = one.times[-1] / units.rate
-        ramp = max(FEWEST, int(np.ceil(one.step / FINEST))) * dt
         protocol = protocols.steps([one.step / ramp, 0.0], [one.step, 1.05 * end], bulk="profile")
 
         def report(fraction: float, text: str, k: int = k) -> None:
@@ -180,12 +196,15 @@ def _relaxed(
                 done = float((cost[:k].sum() + fraction * cost[k]) / cost.sum())
                 progress(done, f"γ = {runs[k].step:.3g}, t to {runs[k].times[-1]:.3g}")
 
-        relaxed = run(protocol, law, Q=units.Q, start=start, dt=dt, engine=engine, progress=report)
+        steps = begin(protocol, law, Q=units.Q, start=start, dt=dt, engine=engine, progress=report)
+        relaxed = finish(steps)
         middle = (relaxed.time + np.append(0, relaxed.time[:-1])) / 2 - ramp / 2
         stress = np.interp(one.times / units.rate, middle, relaxed.stress)
         events = relaxed.rows["made"].sum() + relaxed.rows["broken"].sum()
         contacts = len(start) * relaxed.contacts[-1] / 2
-        found.append(((stress - before) / one.step / units.stress, float(events / contacts)))
+        doubts = "; ".join(relaxed.warnings)
+        doubts = doubts and f"step {one.step:.3g}, t to {one.times[-1]:.3g}: {doubts}"
+        found.append(((stress - before) / one.step / units.stress, float(events / contacts), doubts))
     return found
 
 

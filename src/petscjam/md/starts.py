@@ -185,6 +185,28 @@ def _of(run: Run) -> str:
     return f"{name} from {start} at γ̇ = {state.rate:.4g}, γ = {state.strain:.6g}"
 
 
+def along_x(packing: Packing) -> tuple[Packing, float]:
+    """Return a packing turned until an edge of its cell is along x, as it is sheared, and the angle.
+
+    Parameters
+    ----------
+    packing : Packing
+
+    Returns
+    -------
+    packing : Packing
+        The same object if nothing is turned.
+    angle : float
+        Clockwise, in radians.
+    """
+    length, height, strain, angle = _along_x(packing.box.cell)
+    if not angle:
+        return packing, 0.0
+    c, s = np.cos(angle), np.sin(angle)
+    cell = Box(np.array([[length, 0.0], [strain * height, height]]))
+    return replace(packing, positions=packing.positions @ np.array([[c, -s], [s, c]]), box=cell), angle
+
+
 def _at_rest(packing: Packing) -> tuple[State, str]:
     """Return the disks of a packing at rest, in units of the smallest diameter, and the description of the start."""
     unit, n, law = 2 * packing.radii.min(), len(packing), packing.potential
