@@ -13,7 +13,7 @@ from petscjam.md import protocols
 from petscjam.md.model import MODELS, Model
 from petscjam.md.simulation import Simulation
 from petscjam.md.state import State
-from petscjam.rows.damping import ContactDamping
+from petscjam.rows.damping import ContactDamping, StokesDrag
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 CENTRES = ContactDamping(beta=1.0, rotations=False)
@@ -66,7 +66,7 @@ def test_the_loss_of_a_lattice_does_not_depend_on_the_cutoff(alpha):
     assert found[0] == pytest.approx(found[1], rel=1e-3)
 
 
-def test_the_default_is_the_drag_of_bt(tmp_path):
+def test_the_default_is_the_drag_of_bt(tmp_path, capsys):
     """w = ρ0/τ1 = dQ; the file keeps it, and a resumed run goes on with it."""
     file = tmp_path / "run.h5"
     options = {"n": 16, "phi": 0.8, "Q": 0.5, "rate": 1e-2, "drag_exponent": 0.5, "output": file}
@@ -74,6 +74,8 @@ def test_the_default_is_the_drag_of_bt(tmp_path):
     model = pj.md.read(file).settings.model
     assert (model.drag_exponent, model.drag_speed) == (0.5, pytest.approx(1.2 * 0.5))
     assert model.drag_cutoff == pytest.approx(0.01 * 1.2 * 1e-2)
+    assert main(["info", str(file)]) == 0
+    assert "drag ~ v^0.5 with w = 0.6, cutoff 0.00012" in capsys.readouterr().out
     longer = pj.md.shear("CD", strain=0.1, resume=True, **options)
     assert longer.strain[-1] == pytest.approx(0.1, rel=1e-3)
     with pytest.raises(InputError, match="drag_exponent"):
@@ -87,11 +89,19 @@ def test_the_default_is_the_drag_of_bt(tmp_path):
         ("--drag-exponent 1.5", "must be from 0.01 to 1, not 1.5"),
         ("--drag-exponent nan", "not a finite number"),
         ("--drag-exponent 0.5 --drag-cutoff 0", "must be from 1e-50 to 1e+50, not 0"),
+        ("--drag-speed 3", "go with a drag_exponent below 1"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(tmp_path, capsys, words, message):
     assert main(["shear", "--particles", "16", *words.split(), "-o", str(tmp_path / "run.h5")]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_stokes_drag_is_no_drag_of_contacts():
+    with pytest.raises(
+        InputError, match=r"drag_exponent = 0\.5, but stokes \(eta_fluid=1\.0\) has no drag of contacts"
+    ):
+        Model(StokesDrag(1.0), 1.0, drag_exponent=0.5, drag_cutoff=1e-3)
 
 
 def test_lammps_has_no_such_drag(tmp_path):

@@ -51,14 +51,14 @@ class Model:
         Of every disk, in m; its moment of inertia is mass R²/2.
     drag_exponent : float
         α of nonlinear drag of contacts: the friction is multiplied by [(v² + ε²)/w²]^((α − 1)/2), where v is the
-        relative velocity at which the law acts (BT eq. 9 with w = ρ0/τ1).
+        relative velocity at which the law acts, normal and tangential part together (BT eq. 9 with w = ρ0/τ1).
     drag_speed, drag_cutoff : float
         w and ε, in ds/τe.
 
     Raises
     ------
     InputError
-        If a number is out of its range.
+        If a number is out of its range, or drag that the law does not have is nonlinear.
     """
 
     law: DampingLaw
@@ -83,6 +83,8 @@ class Model:
         ):
             known.check(f"shear: {name}", value)
             object.__setattr__(self, name, float(value))
+        if self.drag_exponent != 1 and not (self.normal or self.tangential):
+            raise InputError(f"shear: drag_exponent = {self.drag_exponent:g}, but {self.law} has no drag of contacts")
 
     @classmethod
     def of(cls, law: str | DampingLaw, Q: float, **others: Any) -> Model:

@@ -246,6 +246,8 @@ def begin(
             slow = CUTOFF * d * abs(protocol.settings["rate"])
             drags |= {"drag_exponent": drag_exponent, "drag_speed": d * Q if drag_speed is None else drag_speed}
             drags |= {"drag_cutoff": slow if drag_cutoff is None else drag_cutoff}
+        elif drag_speed is not None or drag_cutoff is not None:
+            raise InputError("shear: drag_speed and drag_cutoff go with a drag_exponent below 1")
         law = Model.of(model, Q, potential=potential, mass=mass, **drags)
         dt = law.step(dt, integrator) if dt is not None or there is None else there.dt
         total, row_steps = _lengths(protocol, dt, row_time, None if there is None else there.row_steps)

@@ -13,6 +13,7 @@ from petscjam.base.errors import InputError
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.md.banding import Bands, bands
+from petscjam.md.model import Model
 from petscjam.md.observables import AbsentError
 from petscjam.md.oscillations import summary
 from petscjam.md.result import MEANS, Run
@@ -121,7 +122,7 @@ def describe_run(run: Run) -> str:
     lines = [
         "units: ds, m, tau_e; means ± standard errors leave out the first quarter",
         f"{s.model.name}, {s.model.potential.name}, {s.particles} disks, phi = {s.phi:.6g}, Q = {s.model.Q:g}"
-        f"{f', mass {s.model.mass:g}' * (s.model.mass != 1)}; "
+        f"{f', mass {s.model.mass:g}' * (s.model.mass != 1)}{_drag(s.model)}; "
         f"{s.protocol}, dt = {s.dt:.4g}, {s.integrator}; start: {s.start}",
         f"strain {s.strain0:.6g} to {run.strain[-1]:.6g} in {len(run.strain)} rows, "
         f"strain rate {run.rate.min():.4g} to {run.rate.max():.4g}",
@@ -134,6 +135,13 @@ def describe_run(run: Run) -> str:
     with suppress(InputError):
         lines += describe_bands(bands(run))
     return "\n".join([*lines, *(f"WARNING: {text}" for text in run.warnings)])
+
+
+def _drag(model: Model) -> str:
+    """Return the numbers of nonlinear drag as text; empty if it is linear."""
+    if model.film is None:
+        return ""
+    return f", drag ~ v^{model.drag_exponent:g} with w = {model.drag_speed:g}, cutoff {model.drag_cutoff:g}"
 
 
 def means_of(run: Run, line: str) -> list[str]:
