@@ -54,6 +54,14 @@ def test_a_lattice_moves_affinely_by_any_step():
     assert r.changes.tolist() == [0, 0, 0]
 
 
+@pytest.mark.slow
+def test_the_stress_soon_after_a_step_is_that_of_the_affine_motion():
+    """The strain rate in 1/τe is large, as τe is small for a small mass."""
+    r = pj.step_strain(triangular_lattice(4), [1e-3, 1e-1], [2e-5], damping=CENTRES, inertia=1.0)
+    later = pj.step_strain(triangular_lattice(4), [1e-3, 1e-1], [10.0], damping=CENTRES, inertia=1e-3)
+    assert r.modulus == pytest.approx(later.modulus, rel=1e-5)
+
+
 def test_a_large_step_takes_little_of_the_earliest_time():
     """The strain is applied in time steps of 0.03 of the mass over kτ1, 1e-4 each: less than a tenth of t in all."""
     r = pj.step_strain(triangular_lattice(4), [0.1], [10.0, 20.0], damping=CENTRES, inertia=1e-2)

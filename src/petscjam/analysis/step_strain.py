@@ -32,6 +32,7 @@ STEP = ranges.Range(1e-12, 10)
 TIMES = ranges.Range(1e-6, 1e12)
 INERTIA, HEAVIEST = 2e-4, 0.1  # largest mass, in kt² with the earliest time t of a run, and in kτ1²
 FEWEST, FINEST = 4, 1e-4  # time steps in which the strain is applied, and its largest part
+FASTEST = 50.0  # strain rate, 1/τe
 AT_ONCE = 0.1  # longest time of the strain, in earliest times
 
 
@@ -163,7 +164,7 @@ def _applied(packing: Packing, law: DampingLaw, step: float, mass: float) -> tup
     """Return the units of a run, its time step, and the time in which the strain is applied, in τe."""
     units = Units.of(packing, mass)
     dt = Model.of(law, units.Q, potential=packing.potential).step(None, "heun") / 2
-    return units, dt, max(FEWEST, int(np.ceil(step / FINEST))) * dt
+    return units, dt, max(FEWEST, int(np.ceil(step / FINEST)), int(np.ceil(step / dt / FASTEST))) * dt
 
 
 def _mass(packing: Packing, law: DampingLaw, step: float, earliest: float, inertia: float) -> float:
