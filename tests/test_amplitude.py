@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import jammed, triangular_lattice
+from mpi4py import MPI
 
 import petscjam as pj
 from petscjam.analysis.oscillation import Oscillations, oscillate
@@ -59,6 +60,15 @@ def test_large_amplitudes_change_contacts_and_soften(packing):
     assert r.changes[3, 0] > 0.1
     assert 1e-3 < r.onset[0] < 0.1
     assert r.departure[0, 0] == 0
+
+
+@pytest.mark.parallel(nprocs=2)
+def test_two_ranks_have_the_result_of_one(comm):
+    packing = jammed(2e-2, 32, 3, shear_stabilised=True)
+    one, two = (oscillate(packing, [1e-3], [1.0], cycles=3, damping=CENTRES, comm=c) for c in (MPI.COMM_SELF, comm))
+    assert (two.values == one.values).all()
+    assert two.linear == pytest.approx(one.linear, rel=1e-11)
+    assert comm.allgather(two.returns.tolist()) == [one.returns.tolist()] * 2
 
 
 def test_an_amplitude_or_a_frequency_twice_counts_once(packing):

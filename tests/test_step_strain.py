@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import jammed, triangular_lattice
+from mpi4py import MPI
 
 import petscjam as pj
 from petscjam.cli import main
@@ -73,6 +74,16 @@ def test_doubts_about_a_run_are_notes(packing, monkeypatch):
     notes = pj.step_strain(packing, [1e-3, 1e-2], [5.0], damping=CENTRES, inertia=4e-3).notes
     assert any(note.startswith("step 0.01, t to 5: the energy budget misses") for note in notes)
     assert len(notes) == 2
+
+
+@pytest.mark.parallel(nprocs=2)
+def test_two_ranks_have_the_result_of_one(comm):
+    packing = jammed(2e-2, 32, 3, shear_stabilised=True)
+    one, two = (
+        pj.step_strain(packing, [1e-3], [5.0], damping=CENTRES, inertia=4e-3, comm=c) for c in (MPI.COMM_SELF, comm)
+    )
+    assert (two.modulus == one.modulus).all()
+    assert two.linear == pytest.approx(one.linear, rel=1e-8)
 
 
 def test_a_turned_packing_has_the_modulus_of_its_edge(packing):
