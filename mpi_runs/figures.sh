@@ -15,7 +15,7 @@ while [ $# -gt 0 ] && [[ $1 != -* ]]; do
     names+=("$1")
     shift
 done
-[ ${#names[@]} -gt 0 ] || names=(bt1 bt2 bt3 bt4 bt5 bt6 bt7 bt8 modes drag nonlinear-drag)
+[ ${#names[@]} -gt 0 ] || names=(bt1 bt2 bt3 bt4 bt5 bt6 bt7 bt8 modes drag nonlinear-drag softening)
 [ "${names[*]}" != vot ] || names=(vot{1..6} vot{8..36})
 
 for name in "${names[@]}"; do

@@ -106,6 +106,29 @@ class ShearPath(Judged):
         """1 if the strain increases, −1 if it decreases."""
         return float(np.sign(self.gamma[-1] - self.gamma[0])) or 1.0
 
+    @property
+    def secant(self) -> Array:
+        """[σ(γ) − σ(0)]/γ, (S,), from γ ≠ 0 on; the tangent modulus at γ = 0."""
+        moved = self.gamma != 0
+        change = np.where(moved, self.gamma, 1.0)
+        return np.where(moved, (self.stress - self.stress[0]) / change, self.modulus[0])
+
+    def onset(self, part: float) -> float:
+        """Return |γ†|, the strain at which the secant modulus first departs from G0 by ``part`` of it; NaN if nowhere.
+
+        Between two states the departure is interpolated linearly.
+
+        Parameters
+        ----------
+        part : float
+        """
+        away = np.abs(self.secant / self.G0 - 1) - part
+        beyond = np.flatnonzero(away > 0)
+        if not len(beyond):
+            return np.nan
+        k = int(beyond[0])
+        return float(np.abs(np.interp(0.0, away[k - 1 : k + 1], self.gamma[k - 1 : k + 1])))
+
     def count(self, change: int) -> Integers:
         """Return the number of contacts that are made (``change`` = 1) or lost (−1) at each event, (F,)."""
         which = self.contact_changes[self.contact_changes[:, 3] == change, 0]

@@ -37,6 +37,7 @@ FIGURES = {
     "modes": "low modes: floppiness, and number of modes of the quasi-static response",
     "drag": "nonlinear drag: equivalent damping of the whole packing and contact by contact",
     "nonlinear-drag": "nonlinear drag without equivalent damping, against both forms of it",
+    "softening": "quasi-static shear: where linear response ends, against pressure",
     "vot1": "CD: pressure against Q at several packing fractions",
     "vot2": "CD: viscosity and Bagnold coefficient of the pressure against Q at several strain rates",
     "vot3": "CD: phase diagram, Newtonian and Bagnoldian flow in the plane of packing fraction and Q",
