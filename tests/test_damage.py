@@ -27,6 +27,8 @@ VERBS = {
     "density": ["density", "--moments", "16", "--vectors", "2"],
     "correlations": ["correlations", "--beta", "1", "--omega", "1e-2"],
     "drag": ["nonlinear-drag", "--stress", "1e-4", "--omega", "1e-2"],
+    "oscillations": ["oscillate", "--amplitude", "1e-3", "--omega", "1", "--cycles", "3"],
+    "steps": ["step-strain", "--step", "1e-3", "--time", "10,20"],
     "aqs": ["aqs", "--strain", "0.05", "--events", "2"],
 }
 KINDS = ["packing", "spectrum", "rebuilt", "run", *VERBS]

@@ -26,7 +26,8 @@ figures/packings/N16_p0.01_s0001.h5 figures/packings/N16_p0.01_s0002.h5 older/li
 FOREIGN = f"exported.xyz exported.gsd {SLOW}.frames/frame_000001.xyz {FAST}.frames/frame_000001.xyz"
 LIBRARIES = "library figures/packings older/library"
 MODULI = "moduli.h5 stokes.h5 direct.h5 stokes-direct.h5 older/moduli.h5"
-DRAWN = "nonaffine.h5 viscosity.h5 modes.h5 relaxations.h5 correlations.h5 drag.h5 aqs.h5 figures/modes-density.h5"
+DRAWN = "nonaffine.h5 viscosity.h5 modes.h5 relaxations.h5 correlations.h5 drag.h5 aqs.h5 amplitudes.h5 step-strain.h5"
+DRAWN += " figures/modes-density.h5"
 RESULTS = f"{MODULI} {DRAWN} drag-uniform.h5 quench.h5 figures/modes-rebuilt.h5"
 RUNS = f"{SLOW}.h5 {FAST}.h5 steps.h5 oscillation.h5 ramp.h5 older/run.h5"
 FEWER = "fewer/run.h5"  # SLOW without the rows GONE

@@ -77,6 +77,8 @@ QUICK = {
     "density": "--moments=16 --vectors=2",
     "correlations": "--omega=1e-2",
     "modes": "--count=3",
+    "oscillate": "--amplitude=1e-3 --omega=1 --cycles=3",
+    "step-strain": "--step=1e-3 --time=10,20 --inertia=1e-2",
     "shear": "--particles=16 --rate=1e-2 --strain=0.02",
     "ramp": "--particles=16 --rate=1e-2 --to=2e-2 --kappa=0.1",
 }

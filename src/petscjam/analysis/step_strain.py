@@ -29,7 +29,7 @@ from petscjam.response.reduced import spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
 
 STEP = ranges.Range(1e-12, 10)
-TIMES = ranges.Range(1e-6, 1e12)
+TIMES = ranges.Range(1e-2, 1e12)
 INERTIA, HEAVIEST = 2e-4, 0.1  # largest mass, in kt² with the earliest time t of a run, and in kτ1²
 FEWEST, FINEST = 4, 1e-4  # time steps in which the strain is applied, and its largest part
 FASTEST = 50.0  # strain rate, 1/τe
