@@ -26,7 +26,7 @@ def draw(data: FigureData) -> None:
         analysis = PackingAnalysis(aqs, {"strain": p["span"] * pressure})
         found = data.results(files, analysis, tag=f"p{pressure:.3g}")
         paths |= data.stable(found, "secant modulus")
-    on_root(data.comm, _draw, data.page, paths, p["parts"], data.picture)
+    on_root(data.comm, _draw, data.page, paths, p.points("parts").tolist(), data.picture)
 
 
 def _draw(page: Page, paths: Mapping[str, ShearPath], parts: list[float], picture: Path) -> None:
