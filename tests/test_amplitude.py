@@ -28,7 +28,7 @@ def test_small_amplitudes_have_the_linear_modulus_with_inertia(packing, law):
     r = oscillate(packing, [1e-6], [0.3, 1.0, 10.0], mass=0.5, cycles=40, damping=law)
     assert np.abs(r.values / r.linear - 1).max() < 1e-4
     assert r.returns.max() < 1e-3
-    assert (r.changes == 0).all()
+    assert (r.contact_events == 0).all()
     assert np.pi * r.amplitude[:, None] ** 2 * r.values.imag == pytest.approx(r.heat, rel=2e-3)
     assert np.abs(r.higher).max() < 1e-3 * np.abs(r.values).max()
 
@@ -56,8 +56,8 @@ def test_large_amplitudes_change_contacts_and_soften(packing):
     r = oscillate(packing, [0.1, 1e-3, 3e-2, 1e-5], [0.1], cycles=5)
     assert r.amplitude.tolist() == [1e-5, 1e-3, 3e-2, 0.1]
     assert r.values[3, 0].real < 0.9 * r.values[0, 0].real
-    assert (np.diff(r.changes[:, 0]) >= 0).all()
-    assert r.changes[3, 0] > 0.1
+    assert (np.diff(r.contact_events[:, 0]) >= 0).all()
+    assert r.contact_events[3, 0] > 0.1
     assert 1e-3 < r.onset[0] < 0.1
     assert r.departure[0, 0] == 0
 

@@ -54,7 +54,7 @@ TINY = {
     "bt8": {**COMMON, "particles": [64, 128], "large": 128, "large_pressure": "1e-2:1e-3:2"},
     "modes": {**COMMON, "count": 126, "moments": 64},
     "drag": {**COMMON, "alphas": [0.5], "stress": 1e-3, "omega": "1e-5:1e1:7", "linear_omega": "1e-6:1e7:14"},
-    "softening": {**COMMON, "span": 0.5, "parts": [0.1, 0.2]},
+    "softening": {**COMMON, "seeds": "1:4", "span": 2.0, "parts": [0.1, 0.2]},
     "nonlinear-drag": {
         **COMMON,
         "alphas": [0.5],

@@ -31,13 +31,17 @@ EACH = pytest.mark.parametrize("integrator", INTEGRATORS)
 LAWS = {case.id: case.values[0] for case in LAW}
 OTHERS = {
     "plain": {},
+    "film": {"drag_exponent": 0.6, "drag_speed": 2.0, "drag_cutoff": 0.05},
     "hertzian-relative": {"potential": POTENTIALS["hertzian-relative"]},
     "harmonic": {"potential": POTENTIALS["harmonic"]},
     "power": {"potential": power_law(3.0, relative=False)},
     "cosh": {"potential": COSH},
     "drags": {"stokes_drag": 0.7, "rotational_drag": 0.05},
-    "film": {"drag_exponent": 0.6, "drag_speed": 2.0, "drag_cutoff": 0.05},
 }
+
+
+# Stokes drag has no drag of contacts that could be nonlinear.
+CASES = [case for case in product(LAWS, OTHERS) if not (case[1] == "film" and LAWS[case[0]].body)]
 
 
 def diagonal(law, others, integrator="heun"):
@@ -117,7 +121,7 @@ def apart(a, b):
 # The slow twin
 
 
-@any_engine("law, others, integrator", product(LAWS, OTHERS, INTEGRATORS), diagonal)
+@any_engine("law, others, integrator", [(*case, name) for case in CASES for name in INTEGRATORS], diagonal)
 def test_steps_are_those_of_the_slow_twin(kind, law, others, integrator):
     """Lists of pairs come and go; the one-evaluation scheme begins anew with each call."""
     model, masses = Model(LAWS[law], 2.0, **OTHERS[others]), np.linspace(0.5, 2.0, 16)
@@ -211,7 +215,7 @@ def sums_of_a_state(sums, state, model, masses):
     assert sums[kernels.JUMPS] == 0
 
 
-@any_engine("law, others", product(LAWS, OTHERS), diagonal)
+@any_engine("law, others", CASES, diagonal)
 def test_sums_are_those_of_the_slow_twin(kind, law, others):
     """Pressure tensor, heat, work and contacts: over the states between steps, of the first and of the last state."""
     model, masses = Model(LAWS[law], 2.0, **OTHERS[others]), np.linspace(0.5, 2.0, 24)

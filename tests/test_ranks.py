@@ -41,6 +41,8 @@ ENTRIES = {
     "quasistatic_response": lambda p, odd, folder, **c: pj.quasistatic_response(p, **c),
     "aqs": lambda p, odd, folder, **c: pj.aqs(p, 1e-4, **c),
     "aqs, strain": lambda p, odd, folder, **c: pj.aqs(PACKING, -1e-4 if odd else 1e-4, **c),
+    "oscillate": lambda p, odd, folder, **c: pj.oscillate(p, [1e-4], [1.0], cycles=3, **c),
+    "step_strain": lambda p, odd, folder, **c: pj.step_strain(p, [1e-4], [10.0], **c),
     "viscosity": lambda p, odd, folder, **c: pj.viscosity(p, **c),
     "equivalent_drag": lambda p, odd, folder, **c: pj.equivalent_drag(p, [0.1], 1e-3, 0.6, **c),
     "equivalent_drag, α": lambda p, odd, folder, **c: pj.equivalent_drag(

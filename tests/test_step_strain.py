@@ -52,7 +52,7 @@ def test_a_lattice_moves_affinely_by_any_step():
             length = np.hypot(x, y)
             stress -= max(1 - length, 0) * x * y / length / area
         assert modulus == pytest.approx(stress / gamma, rel=1e-6)
-    assert r.changes.tolist() == [0, 0, 0]
+    assert r.contact_events.tolist() == [0, 0, 0]
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_the_verb_writes_what_info_and_plot_show(packing, tmp_path, capsys):
     words = f"step-strain {file} --step 1e-3,1e-1 --time 10,20 --inertia 1e-3 -o {out}"
     assert main(words.split()) == 0
     (r,) = read_results(out).values()
-    assert r.changes[1] > 0
+    assert r.contact_events[1] > 0
     assert r.modulus[1, 1] < r.modulus[0, 1]
     assert r.modulus[0, 1] == pytest.approx(r.linear[1], rel=0.02)
     capsys.readouterr()

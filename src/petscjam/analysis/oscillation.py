@@ -63,7 +63,7 @@ class Oscillations(Result):
         (VOT eq. 6), so G* differs from it by some overlaps, even at small amplitudes.
     heat : (A, W)
         Energy that is dissipated in the last cycle, over the area: πγ0²G″ if the cycle is periodic.
-    changes : (A, W)
+    contact_events : (A, W)
         Contacts made and broken in the last cycle, over the number of contacts.
     returns : (A, W)
         Root mean square displacement of the disks in the last cycle over γ0 d: 0 if the motion is periodic.
@@ -78,7 +78,7 @@ class Oscillations(Result):
     higher: NDArray[np.complex128] = field(metadata=stored("stress", "2 A W"))
     linear: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
     heat: Array = field(metadata=stored("stress", "A W"))
-    changes: Array = field(metadata=stored("1", "A W"))
+    contact_events: Array = field(metadata=stored("1", "A W"))
     returns: Array = field(metadata=stored("1", "A W"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
     units: ClassVar[str] = "moduli in k; smallest omega, in 1/tau1; linear: of the linear response with inertia"
@@ -249,7 +249,7 @@ class Measure(NamedTuple):
     third: complex
     fifth: complex
     heat: float
-    changes: float
+    contact_events: float
     returns: float
 
 

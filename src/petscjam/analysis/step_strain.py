@@ -52,7 +52,7 @@ class StepStrain(Result):
         G(t) of the reduced model.
     mass : (T,)
         Of every disk, kτ1².
-    changes : (A,)
+    contact_events : (A,)
         Contacts made and broken up to the last time, over the number of contacts.
     """
 
@@ -61,7 +61,7 @@ class StepStrain(Result):
     modulus: Array = field(metadata=stored("stress", "A T", finite=True))
     linear: Array = field(metadata=stored("stress", "T", finite=True))
     mass: Array = field(metadata=stored("stress*tau1**2", "T", finite=True))
-    changes: Array = field(metadata=stored("1", "A"))
+    contact_events: Array = field(metadata=stored("1", "A"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
     units: ClassVar[str] = "moduli in k, at the last time, in tau1; linear: G(t) of the linear response"
     figure: ClassVar[str] = "petscjam.plots.step_strain:step_figure"
@@ -74,7 +74,7 @@ class StepStrain(Result):
             "G linear": self.linear[-1],
             f"G at {self.step[0]:.3g}": self.modulus[0, -1],
             f"G at {self.step[-1]:.3g}": self.modulus[-1, -1],
-            "changes": self.changes[-1],
+            "contact events": self.contact_events[-1],
         }
 
 
@@ -139,14 +139,14 @@ def step_strain(
     masses = [_mass(turned, law, gamma[-1], some[0], inertia) for some in groups]
     runs = [Relax(float(a), *each) for a in gamma for each in zip(groups, masses, strict=True)]
     found = on_root(comm, _relaxed, runs, turned, law, engine, progress)
-    moduli, changes, doubts = zip(*found, strict=True)
+    moduli, events, doubts = zip(*found, strict=True)
     return StepStrain(
         step=gamma,
         time=t,
         modulus=np.concatenate(moduli).reshape(len(gamma), len(t)),
         linear=model.G(t),
         mass=np.repeat(masses, [len(some) for some in groups]),
-        changes=np.reshape(changes, (len(gamma), len(groups)))[:, -1],
+        contact_events=np.reshape(events, (len(gamma), len(groups)))[:, -1],
         origin=replace(model.origin, checksum=packing.checksum),
         notes=(*model.notes, *notes, *filter(None, doubts)),
     )

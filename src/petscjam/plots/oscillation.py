@@ -41,7 +41,7 @@ def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
             x, line = r.amplitude, {"color": shade, "lw": 0.8, "ms": 5}
             label = rf"$\omega\tau_1$ = {omega:.2g}"
             ratio.plot(x, (r.values[:, w] / r.linear[w]).real, f"{marker}-", label=label, **line)
-            for axes, pair in ((higher, np.abs(r.higher / r.values)), (motion, (r.changes, r.returns))):
+            for axes, pair in ((higher, np.abs(r.higher / r.values)), (motion, (r.contact_events, r.returns))):
                 full, open_ = (np.where(y[:, w] > 0, y[:, w], np.nan) for y in pair)
                 axes.plot(x, full, f"{marker}-", **line)
                 axes.plot(x, open_, f"{marker}--", mfc="white", **line)
