@@ -348,11 +348,11 @@ def _options(parser: ArgumentParser) -> None:
         help=text,
     )
     text = "of every disk, in k tau1^2 (default 1); small masses take more time steps"
-    parser.add_argument("--mass", type=arguments.Within(arguments.number, ranges.INERTIA), default=1.0, help=text)
+    kind = arguments.Within(arguments.number, ranges.INERTIA)
+    parser.add_argument("--mass", type=kind, default=1.0, metavar="M", help=text)
     text = "cycles of each oscillation; a quarter of them and the last are left out of the means (default 8)"
     parser.add_argument("--cycles", type=arguments.Within(arguments.integer, CYCLES), default=8, metavar="K", help=text)
-    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, all oscillations of a packing at once (default cpu)"
-    parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)
+    arguments.engine(parser)
 
 
 VERB = Verb(oscillate, "G* at finite amplitudes, one group for each packing and law", _options)

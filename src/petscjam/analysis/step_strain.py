@@ -29,7 +29,7 @@ from petscjam.response.reduced import spectrum
 from petscjam.rows.damping import DampingLaw, law_or_default
 
 STEP = ranges.Range(1e-12, 10)
-TIMES = ranges.Range(1e-2, 1e12)
+TIMES = ranges.Range(1e-30, 1e30)
 INERTIA, HEAVIEST = 2e-4, 0.1  # largest mass, in kt² with the earliest time t of a run, and in kτ1²
 FEWEST, FINEST = 4, 1e-4  # time steps in which the strain is applied, and its largest part
 FASTEST = 50.0  # strain rate, 1/τe
@@ -219,8 +219,7 @@ def _options(parser: ArgumentParser) -> None:
     parser.add_argument("--time", dest="times", type=kind, default=span, metavar="RANGE", help=text)
     text = "mass of every disk, in k t^2 with the earliest time t of a decade, at most 0.1 k tau1^2 (default 2e-4)"
     parser.add_argument("--inertia", type=arguments.number, default=INERTIA, metavar="X", help=text)
-    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU (default cpu)"
-    parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)
+    arguments.engine(parser)
 
 
 VERB = Verb(step_strain, "stress after steps of strain, one group for each packing and law", _options)

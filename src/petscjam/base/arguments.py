@@ -193,3 +193,9 @@ def diameters(text: str) -> dict[str, float]:
             raise argparse.ArgumentTypeError(f"{text!r} is not a list TYPE:DIAMETER,…, each type once")
         found[kind.strip()] = number(value)
     return found
+
+
+def engine(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the engine of sheared disks."""
+    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
+    parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)

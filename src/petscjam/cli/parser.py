@@ -13,6 +13,7 @@ from petscjam.base import ranges
 from petscjam.base.arguments import (
     Within,
     diameters,
+    engine,
     evenly,
     frequencies,
     integer,
@@ -258,7 +259,7 @@ def _figure(known: Verbs) -> None:
         known,
         "figure",
         analyses.figure,
-        "make a figure of Baumgarten & Tighe 2017: packings, results, picture and page",
+        "make a figure of one of both papers: packings or runs, results, picture and page",
         RANKS,
     )
     p.add_argument("name", metavar="NAME", help=listing)
@@ -271,12 +272,6 @@ def _figure(known: Verbs) -> None:
     engine(p)
     text = "folder of packings, runs, results, NAME.png, NAME.md and NAME.csv, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
-
-
-def engine(p: Parser) -> None:
-    """Add the engine of sheared disks."""
-    text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
-    p.add_argument("--engine", default="cpu", metavar="NAME", help=text)
 
 
 def _plot(known: Verbs) -> None:

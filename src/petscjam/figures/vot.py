@@ -21,7 +21,7 @@ from petscjam.figures.flows import Drawing, Flows, Search, bisection
 from petscjam.md.engine import BINS
 from petscjam.md.grid import Point, grid
 from petscjam.md.result import Mean, Run
-from petscjam.plots.figure import save
+from petscjam.plots.figure import place_colour, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -189,7 +189,7 @@ def draw_lines(
     """
     values = sorted({getattr(p, key) for p in points})
     for value in values:
-        colour = _colour(values, value)
+        colour = place_colour(values, value)
         xs = sorted({getattr(p, x) for p in points if getattr(p, key) == value})
         found = [
             quantity.of([p for p in points if getattr(p, key) == value and getattr(p, x) == one], runs) for one in xs
@@ -202,14 +202,6 @@ def draw_lines(
             name = ", ".join(part for part in (quantity.name, note, label) if part)
             data.page.number(name, one, mean_, deviation)
     axes.set(xlabel=AXES[x], ylabel=quantity.symbol)
-
-
-def _colour(values: Sequence[float], value: float) -> tuple[float, ...]:
-    """Return the colour of one of ``values``."""
-    from matplotlib import colormaps
-
-    place = sorted(values).index(value) / max(len(values) - 1, 1)
-    return tuple(colormaps["viridis"](0.9 * place))
 
 
 def canvas(rows: int, columns: int) -> tuple[Figure, Any]:
@@ -258,7 +250,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
     draw_lines(scan.data, axes, scan.points(), scan.runs, quantity, "Q", "phi")
     axes.set(xscale="log", yscale="log")
     for phi, Qc in scan.located(shares).items():
-        axes.axvline(Qc.value, ls="--", lw=0.8, color=_colour(scan.phis, phi), zorder=0)
+        axes.axvline(Qc.value, ls="--", lw=0.8, color=place_colour(scan.phis, phi), zorder=0)
         scan.data.page.found(f"{scan.transition(phi)} at φ = {phi:g}", *Qc, "")
     finish(scan.flows, figure, panels)
 

@@ -17,6 +17,7 @@ from petscjam.figures.vot import AXES, Quantity, canvas, draw_lines, finish
 from petscjam.figures.vot_diagrams import STARTS
 from petscjam.md.grid import Point
 from petscjam.md.result import Run
+from petscjam.plots.figure import MARKERS
 from petscjam.plots.shear import draw_slopes
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 STRESS = Quantity(r"$\Sigma$", "Σ", "stress")
 ROW_TIME, FINEST = 1e3, 0.01  # of a row: τe (VOT sec. III D), and decades of γ̇ at most
 WINDOW = 0.1  # decades of γ̇ in which Σ of a ramp is averaged
-MARKERS = "osD^vP"
 
 
 def _steady(scan: Large) -> dict[str, list[Point]]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Colour = str | tuple[float, float, float, float]
 Colours = Callable[[float], Colour]  # of each pressure
 
+MARKERS = "osD^vP"
 STORAGE, LOSS, UNSTABLE, STABLE = "#1f5fa8", "#c8551b", "#8b1a1a", "#2e6b34"
 
 
@@ -147,3 +148,11 @@ def disks(axes: Axes, centres: Array, radii: Array, **style: Any) -> EllipseColl
     return EllipseCollection(
         width, width, upright, units="xy", offsets=centres, offset_transform=axes.transData, **style
     )
+
+
+def place_colour(values: Sequence[float], value: float) -> Colour:
+    """Return the colour of one of ``values``, by its place in ascending order."""
+    from matplotlib import colormaps
+
+    place = sorted(values).index(value) / max(len(values) - 1, 1)
+    return colormaps["viridis"](0.9 * place)

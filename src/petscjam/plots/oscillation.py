@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.oscillation import DEPARTS, Oscillations
-from petscjam.plots.figure import LOSS, STORAGE, heading, legend
+from petscjam.plots.figure import LOSS, MARKERS, STORAGE, heading, legend, place_colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARKERS = "osD^vP"
-
 
 def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
     """Draw G* against ω, its ratio to the linear response, harmonics, and contact changes and return, against γ0."""
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.5, 9.0), layout="constrained")
@@ -26,18 +23,15 @@ def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
     gammas = sorted({float(a) for r in results.values() for a in r.amplitude})
     omegas = sorted({float(w) for r in results.values() for w in r.omega})
 
-    def colour(value: float, values: list[float]) -> tuple[float, ...]:
-        return tuple(colormaps["viridis"](0.9 * values.index(value) / max(len(values) - 1, 1)))
-
     for r in results.values():
         for values, style, name in ((r.linear.real, STORAGE, "$G'$"), (r.linear.imag, LOSS, "$G''$")):
             moduli.plot(r.omega, values, "-", color=style, lw=1, label=f"{name}, linear")
         for a, row in zip(r.amplitude, r.values, strict=True):
-            shade = colour(a, gammas)
+            shade = place_colour(gammas, a)
             moduli.plot(r.omega, row.real, "o", ms=5, color=shade, label=rf"$\gamma_0$ = {a:.2g}")
             moduli.plot(r.omega, row.imag, "s", ms=5, color=shade, mfc="white")
         for w, omega in enumerate(r.omega):
-            shade, marker = colour(omega, omegas), MARKERS[omegas.index(omega) % len(MARKERS)]
+            shade, marker = place_colour(omegas, omega), MARKERS[omegas.index(omega) % len(MARKERS)]
             x, line = r.amplitude, {"color": shade, "lw": 0.8, "ms": 5}
             label = rf"$\omega\tau_1$ = {omega:.2g}"
             ratio.plot(x, (r.values[:, w] / r.linear[w]).real, f"{marker}-", label=label, **line)

@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.step_strain import StepStrain
-from petscjam.plots.figure import STORAGE, heading, legend
+from petscjam.plots.figure import MARKERS, STORAGE, heading, legend, place_colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARKERS = "osD^vP"
-
 
 def step_figure(results: Mapping[str, StepStrain]) -> Figure:
     """Draw [σ(t) − σ(before)]/γ against time for each step, and G(t)."""
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
@@ -27,10 +24,8 @@ def step_figure(results: Mapping[str, StepStrain]) -> Figure:
     for r in results.values():
         axes.plot(r.time, r.linear, "-", color=STORAGE, lw=1, label="linear, $G(t)$")
         for a, row in zip(r.step, r.modulus, strict=True):
-            place = steps.index(float(a))
-            colour = colormaps["viridis"](0.9 * place / max(len(steps) - 1, 1))
-            shown, marker = np.where(row > 0, row, np.nan), MARKERS[place % len(MARKERS)]
-            axes.plot(r.time, shown, marker, ms=5, color=colour, label=rf"$\gamma$ = {a:.2g}")
+            shown, marker = np.where(row > 0, row, np.nan), MARKERS[steps.index(float(a)) % len(MARKERS)]
+            axes.plot(r.time, shown, marker, ms=5, color=place_colour(steps, a), label=rf"$\gamma$ = {a:.2g}")
     axes.set(
         xscale="log",
         yscale="log",
