@@ -151,7 +151,13 @@ def disks(axes: Axes, centres: Array, radii: Array, **style: Any) -> EllipseColl
 
 
 def place_colour(values: Sequence[float], value: float) -> Colour:
-    """Return the colour of one of ``values``, by its place in ascending order."""
+    """Return the colour of one of ``values``, by its place in ascending order.
+
+    Parameters
+    ----------
+    values : sequence of float
+    value : float
+    """
     from matplotlib import colormaps
 
     place = sorted(values).index(value) / max(len(values) - 1, 1)
