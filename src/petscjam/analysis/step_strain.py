@@ -30,7 +30,7 @@ from petscjam.rows.damping import DampingLaw, law_or_default
 
 STEP = ranges.Range(1e-12, 10)
 TIMES = ranges.Range(1e-30, 1e30)
-INERTIA, HEAVIEST = 2e-4, 0.1  # largest mass, in kt² with the earliest time t of a run, and in kτ1²
+INERTIA, HEAVIEST = 5e-4, 0.1  # largest mass, in kτ1t with the earliest time t of a run, and in kτ1²
 FEWEST, FINEST = 4, 1e-4  # time steps in which the strain is applied, and its largest part
 FASTEST = 50.0  # strain rate, 1/τe
 AT_ONCE = 0.1  # longest time of the strain, in earliest times
@@ -104,8 +104,8 @@ def step_strain(
     times : (T,) array_like
         In τ1.
     inertia : float
-        The mass in kt², at the earliest time t of a run; it is at most 0.1 kτ1², and smaller if the largest step would
-        take more than t/10.
+        The mass in kτ1t, with the earliest time t of a run; it is at most 0.1 kτ1², and smaller if the largest step
+        would take more than t/10.
     engine : str
         A name of :data:`petscjam.md.runs.ENGINES`.
     damping, comm, name, progress
@@ -170,7 +170,7 @@ def _applied(packing: Packing, law: DampingLaw, step: float, mass: float) -> tup
 def _mass(packing: Packing, law: DampingLaw, step: float, earliest: float, inertia: float) -> float:
     """Return the mass of a run, kτ1²."""
     soft = Units.of(packing, 1.0).stress
-    mass = min(inertia * earliest**2 / soft, HEAVIEST * soft)
+    mass = min(inertia * earliest, HEAVIEST * soft)
     while True:
         units, _, ramp = _applied(packing, law, step, mass)
         if ramp * units.rate <= AT_ONCE * earliest:
@@ -217,7 +217,7 @@ def _options(parser: ArgumentParser) -> None:
     text = "times after the step, in tau1: A:B:N or a list A,B,… (default 1:1e3:13)"
     kind, span = arguments.Within(points, TIMES), "1:1e3:13"
     parser.add_argument("--time", dest="times", type=kind, default=span, metavar="RANGE", help=text)
-    text = "mass of every disk, in k t^2 with the earliest time t of a decade, at most 0.1 k tau1^2 (default 2e-4)"
+    text = "mass of every disk, in k tau1 t, t the earliest time of a decade, at most 0.1 k tau1^2 (default 5e-4)"
     parser.add_argument("--inertia", type=arguments.number, default=INERTIA, metavar="X", help=text)
     arguments.engine(parser)
 
