@@ -10,7 +10,7 @@ Axes: s state, f event, c change of a contact.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -159,7 +159,7 @@ class ShearPath(Judged):
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """A minimum of the energy at the strain ``sign``·``way``; or, if not ``jammed``, a packing without one."""
 
     packing: Packing
@@ -195,7 +195,14 @@ class _State:
         return float(C[XY, XY]), motion
 
     def moved(self, start: Packing, way: float) -> Packing:
-        """Return the packing at ``way`` by the tangent response; ``start`` has the cell at γ = 0."""
+        """Return the packing at ``way`` by the tangent response.
+
+        Parameters
+        ----------
+        start : Packing
+            It has the cell at γ = 0.
+        way : float
+        """
         change = self.sign * (way - self.way)
         x = self.packing.positions + change * self.tangent[1]
         x[:, 0] += change * self.packing.positions[:, 1]
@@ -203,7 +210,14 @@ class _State:
         return replace(self.packing, positions=x, box=start.box.deformed(F))
 
     def gaps(self, i: Integers, j: Integers, r: Array) -> tuple[Array, Array]:
-        """Return gaps r − ρi − ρj of pairs, and their derivatives along the path by the tangent response, (C,) each."""
+        """Return gaps r − ρi − ρj of pairs, and their derivatives along the path by the tangent response, (C,) each.
+
+        Parameters
+        ----------
+        i, j : (C,) integers
+        r : (C, 2)
+            From i to an image of j.
+        """
         distance, u = np.hypot(r[:, 0], r[:, 1]), self.tangent[1]
         rate = u[j] - u[i]
         rate[:, 0] += r[:, 1]
@@ -227,8 +241,13 @@ class _State:
         return self.way - gap[rate != 0] / rate[rate != 0]
 
 
-def _changes(a: _State, b: _State) -> dict[tuple[int, int], int]:
-    """Return the pairs that have more (positive) or fewer contacts in ``b`` than in ``a``."""
+def changes(a: State, b: State) -> dict[tuple[int, int], int]:
+    """Return the pairs that have more (positive) or fewer contacts in ``b`` than in ``a``.
+
+    Parameters
+    ----------
+    a, b : State
+    """
     change = {pair: b.contacts.get(pair, 0) - a.contacts.get(pair, 0) for pair in {**a.contacts, **b.contacts}}
     return {pair: n for pair, n in sorted(change.items()) if n}
 
@@ -247,7 +266,7 @@ class _Path:
 
     start: Packing
 
-    def state(self, before: _State, way: float) -> _State:
+    def state(self, before: State, way: float) -> State:
         """Return the state at ``way`` that follows ``before``."""
         after = replace(before, packing=before.moved(self.start, way), way=way)
         with suppress(InputError):  # no contact has a force, or the backbone is in pieces
@@ -256,7 +275,7 @@ class _Path:
                 return found
         return replace(after, jammed=False)
 
-    def located(self, a: _State, b: _State) -> tuple[_State, _State]:
+    def located(self, a: State, b: State) -> tuple[State, State]:
         """Bracket the first change of the contacts between ``a`` and ``b`` to the resolution.
 
         The tangent response of ``a`` predicts its strain, or that of ``b`` if a rattler is caught. Trials are
@@ -264,31 +283,31 @@ class _Path:
         """
         vain, side = 0, -1.0
         while (width := b.way - a.way) > RESOLUTION:
-            changed = list(_changes(a, b))
+            changed = list(changes(a, b))
             caught = not a.network.backbone[np.array(changed)].all()
             at = (b if caught else a).crossings(changed)
             way = at[(at > a.way) & (at < b.way)].min(initial=np.inf) + 0.4 * side * RESOLUTION
             if vain > 1 or not a.way < way < b.way:
                 way = a.way + width / 2
             c = self.state(a, way)
-            if _changes(a, c):
+            if changes(a, c):
                 b, side = c, -1.0
             else:
                 a, side = c, 1.0
             vain = 0 if b.way - a.way < width / 2 else vain + 1
         return a, b
 
-    def returns(self, a: _State, b: _State) -> bool:
+    def returns(self, a: State, b: State) -> bool:
         """Whether the strain back from ``b`` to ``a`` restores the positions of ``a``."""
         back = self.state(b, a.way)
-        if _changes(a, back):
+        if changes(a, back):
             return False
         moved = a.packing.box.minimum_image(back.packing.positions - a.packing.positions)[a.network.backbone]
         network = a.network
         overlap = (network.radii[network.i] + network.radii[network.j] - network.distance).mean()
         return bool(np.abs(moved - moved.mean(0)).max() < SAME * overlap)
 
-    def follow(self, first: _State, goals: Array) -> Iterator[tuple[_State, bool | None]]:
+    def follow(self, first: State, goals: Array) -> Iterator[tuple[State, bool | None]]:
         """Yield each state that is kept; after an event also whether that is reversible."""
         yield first, None
         now = first
@@ -296,10 +315,10 @@ class _Path:
             while now.way < goal:
                 way = min(goal, now.way + max(BEYOND * (now.predicted - now.way), RESOLUTION))
                 after = self.state(now, way)
-                if _changes(now, after):
+                if changes(now, after):
                     now, after = self.located(now, after)
                     after = self.state(now, after.way)  # it may come from a state far before
-                    if _changes(now, after):
+                    if changes(now, after):
                         yield now, None
                         if not after.jammed:
                             raise InputError("the packing unjams")
@@ -379,6 +398,32 @@ def aqs(
     return ShearPath(origin, **made)
 
 
+def states_at(packing: Packing, strains: Iterable[float]) -> Iterator[State]:
+    """Yield ``packing`` and the minima of the energy at the strains, each from the one before; events are not located.
+
+    Parameters
+    ----------
+    packing : Packing
+        In balance, at zero strain.
+    strains : iterable of float
+        γ, as in :func:`aqs`.
+
+    Raises
+    ------
+    InputError
+        If the packing unjams.
+    SolverError
+        If forces cannot be balanced.
+    """
+    path, now = _Path(packing), State(packing, 0.0, 1.0)
+    yield now
+    for gamma in strains:
+        now = path.state(now, gamma)
+        if not now.jammed:
+            raise InputError(f"the packing unjams at strain {gamma:.6g}")
+        yield now
+
+
 class _Row(NamedTuple):
     """Numbers of a state that is kept, in the units of :class:`ShearPath`."""
 
@@ -393,7 +438,7 @@ class _Row(NamedTuple):
     proved: bool
 
     @classmethod
-    def of(cls, state: _State, certificate: Certificate) -> _Row:
+    def of(cls, state: State, certificate: Certificate) -> _Row:
         lowest, network = certificate.lowest_eigenvalue, state.network
         return cls(
             gamma=state.strain,
@@ -413,18 +458,18 @@ def _followed(
 ) -> dict[str, Any]:
     """Follow the path on one rank; return the fields of the result."""
     path, first = _Path(start), certify(start)
-    last = _State(first, 0.0, sign)
+    last = State(first, 0.0, sign)
     rows: list[_Row] = []
     events: list[int] = []
     reversible: list[bool] = []
-    changes: list[tuple[int, int, int, int]] = []
+    altered: list[tuple[int, int, int, int]] = []
     try:
         for state, restored in path.follow(last, goals):
             packing = certify(state.packing)
             row = _Row.of(state, packing.certificate)
             if restored is not None:
-                altered = _changes(last, state).items()
-                changes += [(len(events), i, j, int(np.sign(n))) for (i, j), n in altered]
+                new = changes(last, state).items()
+                altered += [(len(events), i, j, int(np.sign(n))) for (i, j), n in new]
                 events.append(len(rows) - 1)
                 reversible.append(restored)
             rows.append(row)
@@ -445,7 +490,7 @@ def _followed(
         "zero_modes": first.certificate.zero_modes,
         "events": np.array(events, dtype=np.int64),
         "reversible": np.array(reversible, dtype=bool),
-        "contact_changes": np.array(changes, dtype=np.int64).reshape(-1, 4),
+        "contact_changes": np.array(altered, dtype=np.int64).reshape(-1, 4),
         "geometry": last.packing,
         "notes": tuple(notes),
     }
@@ -460,4 +505,4 @@ def _options(parser: Any) -> None:
     parser.add_argument("--events", type=Within(integer, ranges.EVENTS), metavar="K", help=text)
 
 
-VERB = Verb(aqs, "states and events of the path of each packing", _options)
+VERB = Verb(aqs, "states and events of the path of each packing", _options, stressed=True)

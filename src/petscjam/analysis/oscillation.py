@@ -1,6 +1,7 @@
 """A packing under γ = γ0 sin ωt at finite amplitudes: moduli, harmonics, contact changes, and return to the same state.
 
-The disk engine (:mod:`petscjam.md`) shears it; the linear response with the same masses is computed, too.
+The disk engine (:mod:`petscjam.md`) shears it, or the minimiser at ω = 0, the quasi-static limit. The linear response
+with the same masses is computed, too.
 
 Axes: a amplitude, w frequency, h harmonic (3 and 5).
 """
@@ -15,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam.analysis.aqs import State, changes, states_at
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.progress import Report
@@ -22,7 +24,7 @@ from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.md import protocols
 from petscjam.md.model import Model
-from petscjam.md.oscillations import harmonics
+from petscjam.md.oscillations import harmonics, over_cycles
 from petscjam.md.recording import Steps
 from petscjam.md.result import Run
 from petscjam.md.runs import begin, engine_of, finish
@@ -34,6 +36,9 @@ from petscjam.rows.damping import DampingLaw, law_or_default
 
 AMPLITUDE = ranges.Range(1e-12, 10)
 CYCLES = ranges.Range(3, 1e12, whole=True)
+OMEGA = ranges.Range(0, ranges.OMEGA.high)
+STATES = 128  # of a quasi-static cycle
+COST = 2500.0  # of a quasi-static cycle, about that of the engine at ω = 1/COST; for the progress
 LEAST = 400  # time steps of a cycle: they change a small-amplitude G* by 1e-4
 DEPARTS = 0.1  # at γ†
 
@@ -47,7 +52,7 @@ class Oscillations(Result):
     amplitude : (A,)
         γ0, ascending.
     omega : (W,)
-        Angular frequencies, 1/τ1, ascending.
+        Angular frequencies, 1/τ1, ascending; 0 is the quasi-static limit.
     mass : float
         Of every disk, kτ1².
     cycles : int
@@ -59,14 +64,15 @@ class Oscillations(Result):
     higher : (2, A, W) complex
         Harmonics 3 and 5 of the stress over γ0.
     linear : (W,) complex
-        G*(ω) of the linear response with inertia. In the engine the contact point of a law that rolls is at ρi r/σ
-        (VOT eq. 6), so G* differs from it by some overlaps, even at small amplitudes.
+        G*(ω) of the linear response with inertia, G0 at ω = 0. In the engine the contact point of a law that rolls is
+        at ρi r/σ (VOT eq. 6), so G* differs from it by some overlaps, even at small amplitudes.
     heat : (A, W)
-        Energy that is dissipated in the last cycle, over the area: πγ0²G″ if the cycle is periodic.
+        Energy that is dissipated in the last cycle, over the area: πγ0²G″ if the cycle is periodic. At ω = 0 ∮σdγ.
     contact_events : (A, W)
-        Contacts made and broken in the last cycle, over the number of contacts.
+        Contacts made and broken in the last cycle, over the number of contacts. At ω = 0 between 128 states a cycle.
     returns : (A, W)
-        Root mean square displacement of the disks in the last cycle over γ0 d: 0 if the motion is periodic.
+        Root mean square displacement of the disks in the last cycle over γ0 d: 0 if the motion is periodic. At ω = 0
+        without rattlers.
     """
 
     amplitude: Array = field(metadata=stored("1", "A", finite=True))
@@ -174,7 +180,8 @@ def oscillate(
     amplitudes : (A,) array_like
         γ0.
     omegas : (W,) array_like
-        Angular frequencies, 1/τ1. A cycle takes some 150/ω time steps for a mass of 1, more for small masses.
+        Angular frequencies, 1/τ1. A cycle takes some 150/ω time steps for a mass of 1, more for small masses. 0: the
+        quasi-static limit, 128 minima of the energy a cycle.
     mass : float
         Of every disk, in kτ1²; moment of inertia mass ρ²/2.
     cycles : int
@@ -189,13 +196,15 @@ def oscillate(
     Raises
     ------
     InputError
-        On a number that is out of range, or without pre-stress.
+        On a number that is out of range, or without pre-stress; or if the packing unjams at ω = 0.
     SolverError
         If velocities diverge, or a solve of the linear response fails.
     """
     comm = resolve(comm)
     agree(comm, packing, amplitudes, omegas, mass, cycles, engine, damping, prestress)
-    law, omega = law_or_default(damping), np.unique(frequencies(omegas))
+    law, omega = law_or_default(damping), np.unique(np.asarray(omegas, dtype=float))
+    slow = omega == 0
+    frequencies(omega[~slow], empty=bool(slow.any()))
     gamma = np.unique(np.asarray(amplitudes, dtype=float))
     if not len(gamma):
         raise InputError("amplitude: there is none")
@@ -206,7 +215,10 @@ def oscillate(
     if not prestress:
         raise InputError("oscillate: the disks exert their contact forces, so pre-stress cannot be left out")
     turned, notes = sheared(packing)
-    linear = complex_modulus(turned, omega, damping=law, mass=mass, comm=comm, name=name)
+    some = omega[~slow] if not slow.all() else [1.0]  # G0 comes with any frequency
+    response = complex_modulus(turned, some, damping=law, mass=mass, comm=comm, name=name)
+    linear = np.full(len(omega), response.G0, dtype=complex)
+    linear[~slow] = response.values[: np.count_nonzero(~slow)]
     tasks = [Task(float(a), float(w)) for a in gamma for w in omega]
     found, doubts = on_root(comm, _measured, tasks, turned, law, mass, cycles, engine, progress)
     values = {
@@ -219,10 +231,10 @@ def oscillate(
         omega=omega,
         mass=float(mass),
         cycles=int(cycles),
-        linear=linear.values,
+        linear=linear,
         higher=higher,
-        origin=replace(linear.origin, checksum=packing.checksum),
-        notes=(*linear.notes, *notes, *doubts),
+        origin=replace(response.origin, checksum=packing.checksum),
+        notes=(*response.notes, *notes, *doubts),
         **values,
     )
 
@@ -267,7 +279,7 @@ def _measured(
     def report(task: Task, first: float, share: float, fraction: float, text: str) -> None:
         parts[task] = first + share * fraction
         if progress is not None:
-            cost = np.array([1 / t.omega for t in tasks])
+            cost = np.array([1 / t.omega if t.omega else COST for t in tasks])
             progress(
                 float(cost @ list(parts.values()) / cost.sum()), f"γ0 = {task.amplitude:.3g}, ω = {task.omega:.3g}"
             )
@@ -299,12 +311,16 @@ def _measured(
         if reasons := dict.fromkeys([*earlier.warnings, *last.warnings]):
             doubts[task] = f"amplitude {task.amplitude:.3g}, omega {task.omega:.3g}: {'; '.join(reasons)}"
 
+    moving = [task for task in tasks if task.omega]
+    for task in tasks:
+        if not task.omega:
+            found[task] = _quasistatic(packing, task.amplitude, cycles, partial(report, task, 0.0, 1.0))
     abreast = getattr(engine_of(engine), "abreast", None)
     if abreast is None:
-        for task in tasks:
+        for task in moving:
             done(task, finish(steps(task)))
     else:
-        for task, error in abreast(tasks, steps, done):
+        for task, error in abreast(moving, steps, done):
             raise SolverError(f"amplitude {task.amplitude:g}, omega {task.omega:g}: {error}") from error
     return [found[task] for task in tasks], [doubts[task] for task in tasks if task in doubts]
 
@@ -328,6 +344,35 @@ def _measure(before: Run, last: Run, units: Units) -> Measure:
     )
 
 
+def _quasistatic(packing: Packing, amplitude: float, cycles: int, report: Report) -> Measure:
+    """Return the numbers of an oscillation at ω = 0, from minima of the energy at γ0 sin θ."""
+    theta = 2 * np.pi / STATES * np.arange(1, STATES * cycles + 1)
+    gamma = amplitude * np.sin(theta)
+    stress, events = np.zeros(len(theta) + 1), 0
+    before = now = State(packing, 0.0, 1.0)
+    for k, state in enumerate(states_at(packing, gamma)):
+        stress[k] = -state.network.stress[0, 1]
+        if k > STATES * (cycles - 1):
+            events += sum(abs(n) for n in changes(now, state).values())
+        elif k == STATES * (cycles - 1):
+            before = state
+        now = state
+        report(k / len(theta), "")
+    wave = 2j / (STATES * amplitude) * np.exp(-1j * np.outer(theta[:STATES], (1, 3, 5)))
+    moduli = stress[1:].reshape(cycles, STATES)[max((cycles - 1) // 4, 1) : -1] @ wave
+    loop, path = stress[-STATES - 1 :], np.append(0, gamma[-STATES:])
+    apart = packing.box.minimum_image(now.packing.positions - before.packing.positions)[before.network.backbone]
+    return Measure(
+        complex(moduli[:, 0].mean()),
+        complex(over_cycles(moduli[:, 0].real), over_cycles(moduli[:, 0].imag)),
+        complex(moduli[:, 1].mean()),
+        complex(moduli[:, 2].mean()),
+        float(((loop[1:] + loop[:-1]) / 2 * np.diff(path)).sum()),
+        events / len(before.network),
+        float(np.sqrt((apart**2).sum(1).mean()) / (amplitude * packing.mean_diameter)),
+    )
+
+
 def _options(parser: ArgumentParser) -> None:
     text = "amplitudes gamma0: A:B:N or a list A,B,… (default 1e-5:1e-1:5)"
     parser.add_argument(
@@ -338,11 +383,11 @@ def _options(parser: ArgumentParser) -> None:
         metavar="RANGE",
         help=text,
     )
-    text = "angular frequencies in 1/tau1: A:B:N or a list A,B,… (default 1e-2:1:3)"
+    text = "angular frequencies in 1/tau1: A:B:N or a list A,B,…; 0: the quasi-static limit (default 1e-2:1:3)"
     parser.add_argument(
         "--omega",
         dest="omegas",
-        type=arguments.Within(arguments.frequencies, ranges.OMEGA),
+        type=arguments.Within(arguments.numbers, OMEGA),
         default="1e-2:1:3",
         metavar="RANGE",
         help=text,
@@ -355,4 +400,4 @@ def _options(parser: ArgumentParser) -> None:
     arguments.engine(parser)
 
 
-VERB = Verb(oscillate, "G* at finite amplitudes, one group for each packing and law", _options)
+VERB = Verb(oscillate, "G* at finite amplitudes, one group for each packing and law", _options, stressed=True)

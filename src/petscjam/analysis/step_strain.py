@@ -222,4 +222,4 @@ def _options(parser: ArgumentParser) -> None:
     arguments.engine(parser)
 
 
-VERB = Verb(step_strain, "stress after steps of strain, one group for each packing and law", _options)
+VERB = Verb(step_strain, "stress after steps of strain, one group for each packing and law", _options, stressed=True)

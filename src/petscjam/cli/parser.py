@@ -309,7 +309,10 @@ def declare(p: Parser, kind: str) -> None:
     if "strain" in result.settings:
         strain(p)
         settings.append("strain")
-    prestress(p)
+    if verb.stressed:
+        p.set_defaults(prestress=[True])
+    else:
+        prestress(p)
     team_size(p)
     output(p, "OUT.h5", verb.output)
     p.set_defaults(analyse=verb.analyse, settings=settings, declared=(result, verb))

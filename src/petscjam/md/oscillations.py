@@ -106,7 +106,7 @@ def harmonics(run: Run, skip: int | None = None, orders: Sequence[int] = ORDERS)
         part = s.dt * len(end) / run.rows["parts"].sum()
         storage[:, 0] += (1 if s.integrator == "heun" else -1) * omega**2 * _affine_viscosity(run) * part / 2
     moduli = storage.mean(0) + 1j * loss.mean(0)
-    errors = [complex(_error(a), _error(b)) for a, b in zip(storage.T, loss.T, strict=True)]
+    errors = [complex(over_cycles(a), over_cycles(b)) for a, b in zip(storage.T, loss.T, strict=True)]
     return Harmonics(amplitude, omega, shown, moduli, np.array(errors), len(fits))
 
 
@@ -119,7 +119,8 @@ def _affine_viscosity(run: Run) -> float:
     return float(np.sum(y**2 * (model.normal * x**2 + model.tangential * y**2) / (x**2 + y**2)) / state.area)
 
 
-def _error(values: Array) -> float:
+def over_cycles(values: Array) -> float:
+    """Return the standard error of the mean of ``values``, one of each cycle, (C,); NaN if there is one cycle."""
     return blocked_error(values) if len(values) > 1 else np.nan
 
 

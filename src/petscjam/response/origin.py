@@ -212,9 +212,12 @@ class Verb:
         selects another function, ``module:name``, is ``analyse``.
     laws : str
         The option that selects such a function, if only that function takes damping laws.
+    stressed : bool
+        Whether the contacts always have their forces: no option leaves pre-stress out.
     """
 
     analyse: Callable[..., Result] | str
     output: str
     options: Callable[[ArgumentParser], Any] = lambda parser: None
     laws: str = ""
+    stressed: bool = False
