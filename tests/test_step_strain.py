@@ -36,6 +36,7 @@ def test_small_steps_relax_as_the_certified_modulus(packing, law):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("law", [CENTRES, StokesDrag(1.0)], ids=str)
 def test_small_steps_relax_as_the_certified_modulus_over_six_decades(packing, law):
     assert largest_error(packing, np.geomspace(0.1, 1e5, 19), law) < 1e-4
