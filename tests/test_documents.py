@@ -1,0 +1,115 @@
+"""What the documents show is true: their commands and Python are run, page by page, and their links lead somewhere.
+
+CONTRIBUTING.md describes the marks above a block.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from conftest import MPI_ENV
+from markdown_it import MarkdownIt
+
+ROOT = Path(__file__).parents[1]
+BUILT = ("_build", "_generated")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += sorted(page for page in (ROOT / "docs").rglob("*.md") if not {*BUILT} & {*page.parts})
+DATA = {"jambashbulk.txt": "jambashbulk-N16-P1e-3-0001.txt", "jaxmd.nc": "jaxmd-2d-polyuniform-N64-Lp-1.nc"}
+SHOWN = {"text", "toml"}  # neither commands nor Python
+
+# Blocks of Python share their names. Each block of commands is a shell of its own, with the first environment.
+RUN = """
+import json, os, subprocess, sys
+environment, names = dict(os.environ), {"__name__": "__main__"}
+for page, line, language, text in json.load(sys.stdin):
+    print(f"-- {page}:{line}", flush=True)
+    if language == "bash":
+        subprocess.run(["bash", "-euo", "pipefail", "-c", text], env=environment, stdin=subprocess.DEVNULL, check=True)
+    else:
+        exec(compile("\\n" * (line - 1) + text, page, "exec"), names)
+"""
+
+
+@dataclass
+class Block:
+    """A block of a page, the line where it starts, and the mark above it: ``("test", …)``, ``("not run", …)``."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+    mark: tuple[str, str] | None
+
+    def small(self):
+        """Return the text with the substitutions of its mark."""
+        text = self.text
+        for change in self.mark[1].split(";") if self.mark else ():
+            old, new = (part.strip() for part in change.split("→"))
+            assert old in text, f"{self.page}:{self.line}: the mark replaces {old!r}, which is not there"
+            text = text.replace(old, new)
+        return text
+
+
+def blocks(page):
+    """Return the blocks of a page, without directives of the site."""
+    found, mark = [], None
+    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+        if token.type in ("fence", "code_block") and not token.info.startswith("{"):
+            found.append(Block(page, token.map[0] + 2, token.info, token.content, mark))
+        seen = re.fullmatch(r"<!-- (test|not run): (.*) -->\s*", token.content, re.DOTALL)
+        mark = seen.groups() if token.type == "html_block" and seen else None
+    return found
+
+
+def by_page(pages):
+    return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in pages]
+
+
+with_blocks = pytest.mark.parametrize("page", by_page(page for page in PAGES if blocks(page)))
+
+
+@with_blocks
+def test_blocks_name_their_language_and_are_run_or_say_why_not(page):
+    for block in blocks(page):
+        where = f"{page}:{block.line}"
+        assert block.language in {"bash", "python", *SHOWN}, where
+        if block.mark and block.mark[0] == "not run":
+            assert len(block.mark[1].split()) > 1, f"{where}: a reason"
+        elif block.language not in SHOWN:
+            block.small()
+        if block.language == "python":
+            compile(block.text, str(page), "exec")
+
+
+@with_blocks
+def test_commands_have_verbs_and_options_of_the_parser(page):
+    from petscjam.cli import join_negative
+    from petscjam.cli.parser import build_parser
+
+    for block in blocks(page):
+        for line in block.text.replace("\\\n", " ").splitlines() if block.language == "bash" else ():
+            command = re.search(r"(?:^|\s)petscjam ((?:info|plot|export|import|[a-z-]+ ).*)", re.sub(r"\s#.*", "", line))
+            if command and "…" not in line and not line.startswith("pip"):
+                import shlex
+
+                words = shlex.split(command[1].split(" -- ")[0])
+                _, unknown = build_parser().parse_known_args(join_negative(words))
+                assert not unknown, f"{page}:{block.line}: {line}"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@with_blocks
+def test_blocks_run_in_the_order_of_the_page(page, tmp_path, environment):
+    found = [block for block in blocks(page) if block.language not in SHOWN]
+    found = [block for block in found if not block.mark or block.mark[0] == "test"]
+    for name, source in DATA.items():
+        (tmp_path / name).symlink_to(ROOT / "tests" / "data" / source)
+    task = json.dumps([(str(page), block.line, block.language, block.small()) for block in found])
+    launch = ["bash", "-c", 'export PYTHON="$1" && . "$0" && exec "$1" -c "$2"', MPI_ENV, sys.executable, RUN]
+    run = subprocess.run(launch, input=task, text=True, cwd=tmp_path, env=environment, capture_output=True)
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-4000:]
