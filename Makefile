@@ -9,7 +9,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
 READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-fresh coverage lint format docs bench bench-bounds \
+.PHONY: help setup demo figures test test-fast test-slow test-docs test-fresh coverage lint format docs bench bench-bounds \
     bench-scaling bench-lammps bench-shear bench-cuda clean
 .DEFAULT_GOAL := help
 
@@ -37,6 +37,9 @@ test-fast: $(READY) ## only the serial ones of these
 
 test-slow: $(READY) ## the slow tests
 	LIMIT=14400 tools/test.sh $(PYTHON) slow
+
+test-docs: $(READY) ## every command and block of Python in README.md and docs, in small sizes (ten minutes)
+	$(PYTHON) -m pytest tests/test_documents.py
 
 coverage: $(READY) ## coverage of the tests, as a table and in docs/_build/coverage (twice the time of make test)
 	rm -f .coverage .coverage.*

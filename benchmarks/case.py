@@ -104,6 +104,8 @@ def main():
         tables[dt] = {name: np.array([one[name] for one in found]) for name in found[0]}
     head = " | ".join(f"dt = {dt:g} τe" for dt in tables)
     lines = [
+        "# Results of the test case",
+        "",
         f"Means of {options.seeds} runs from random positions to a strain of {options.strain:g}, the first quarter "
         "left out; errors from the scatter of the runs.",
         "",

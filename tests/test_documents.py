@@ -5,10 +5,13 @@ CONTRIBUTING.md describes the marks above a block.
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from conftest import MPI_ENV
@@ -18,7 +21,11 @@ ROOT = Path(__file__).parents[1]
 BUILT = ("_build", "_generated")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += sorted(page for page in (ROOT / "docs").rglob("*.md") if not {*BUILT} & {*page.parts})
-DATA = {"jambashbulk.txt": "jambashbulk-N16-P1e-3-0001.txt", "jaxmd.nc": "jaxmd-2d-polyuniform-N64-Lp-1.nc"}
+THERE = {  # files that a reader has
+    "other.txt": "tests/data/jambashbulk-N16-P1e-3-0001.txt",
+    "jaxmd.nc": "tests/data/jaxmd-2d-polyuniform-N64-Lp-1.nc",
+    "library.toml": "mpi_runs/library.toml",
+}
 SHOWN = {"text", "toml"}  # neither commands nor Python
 
 # Blocks of Python share their names. Each block of commands is a shell of its own, with the first environment.
@@ -60,7 +67,7 @@ def blocks(page):
     for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
         if token.type in ("fence", "code_block") and not token.info.startswith("{"):
             found.append(Block(page, token.map[0] + 2, token.info, token.content, mark))
-        seen = re.fullmatch(r"<!-- (test|not run): (.*) -->\s*", token.content, re.DOTALL)
+        seen = re.fullmatch(r"<!-- (test|not run): (.*?) *-->\s*", token.content, re.DOTALL)
         mark = seen.groups() if token.type == "html_block" and seen else None
     return found
 
@@ -72,6 +79,15 @@ def by_page(pages):
 with_blocks = pytest.mark.parametrize("page", by_page(page for page in PAGES if blocks(page)))
 
 
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The folder where a page is read, with the files that its reader has."""
+    for name, source in THERE.items():
+        (tmp_path / name).symlink_to(ROOT / source)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @with_blocks
 def test_blocks_name_their_language_and_are_run_or_say_why_not(page):
     for block in blocks(page):
@@ -79,37 +95,77 @@ def test_blocks_name_their_language_and_are_run_or_say_why_not(page):
         assert block.language in {"bash", "python", *SHOWN}, where
         if block.mark and block.mark[0] == "not run":
             assert len(block.mark[1].split()) > 1, f"{where}: a reason"
-        elif block.language not in SHOWN:
-            block.small()
-        if block.language == "python":
-            compile(block.text, str(page), "exec")
+        elif block.language == "python":
+            compile(block.small(), where, "exec")
 
 
 @with_blocks
-def test_commands_have_verbs_and_options_of_the_parser(page):
+def test_commands_have_verbs_and_options_of_the_parser(page, folder):
     from petscjam.cli import join_negative
     from petscjam.cli.parser import build_parser
 
-    for block in blocks(page):
-        for line in block.text.replace("\\\n", " ").splitlines() if block.language == "bash" else ():
-            command = re.search(r"(?:^|\s)petscjam ((?:info|plot|export|import|[a-z-]+ ).*)", re.sub(r"\s#.*", "", line))
-            if command and "…" not in line and not line.startswith("pip"):
-                import shlex
-
-                words = shlex.split(command[1].split(" -- ")[0])
-                _, unknown = build_parser().parse_known_args(join_negative(words))
-                assert not unknown, f"{page}:{block.line}: {line}"
+    commands = "".join(block.text for block in blocks(page) if block.language == "bash").replace("\\\n", " ")
+    for command in re.findall(r"^(?:mpirun -n \d+ )?petscjam (.*)", commands, re.MULTILINE):
+        _, unknown = build_parser().parse_known_args(join_negative(shlex.split(command, comments=True)))
+        assert not unknown, f"{page}: {command}"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @with_blocks
-def test_blocks_run_in_the_order_of_the_page(page, tmp_path, environment):
+def test_blocks_run_in_the_order_of_the_page(page, folder, environment):
     found = [block for block in blocks(page) if block.language not in SHOWN]
     found = [block for block in found if not block.mark or block.mark[0] == "test"]
-    for name, source in DATA.items():
-        (tmp_path / name).symlink_to(ROOT / "tests" / "data" / source)
     task = json.dumps([(str(page), block.line, block.language, block.small()) for block in found])
     launch = ["bash", "-c", 'export PYTHON="$1" && . "$0" && exec "$1" -c "$2"', MPI_ENV, sys.executable, RUN]
-    run = subprocess.run(launch, input=task, text=True, cwd=tmp_path, env=environment, capture_output=True)
+    run = subprocess.run(launch, input=task, text=True, capture_output=True, env=environment)
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-4000:]
+
+
+def links(page):
+    """Return the targets of links and pictures of a page."""
+    found = []
+    for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
+        for child in token.children or ():
+            target = child.attrs.get("href") or child.attrs.get("src")
+            if target and not re.match(r"[a-z]+:", target):
+                found.append(unquote(target))
+    return found
+
+
+def anchors(page):
+    """Return the anchors of the headings of a page, as the code host names them."""
+    tokens = MarkdownIt().parse(page.read_text(encoding="utf-8"))
+    titles = [after.content for token, after in pairwise(tokens) if token.type == "heading_open"]
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", by_page(PAGES))
+def test_links_lead_to_files_and_headings(page):
+    for target in links(page):
+        path, _, anchor = target.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        assert there.exists(), f"{page}: {target}"
+        assert not anchor or anchor in anchors(there), f"{page}: {target}"
+
+
+def test_every_page_is_reached_from_the_readme():
+    reached, waiting = set(), [PAGES[0]]
+    while waiting:
+        page = waiting.pop()
+        if page not in reached and page.suffix == ".md":
+            reached.add(page)
+            waiting += [(page.parent / target.partition("#")[0]).resolve() for target in links(page)]
+    assert not {*PAGES} - reached
+
+
+@pytest.mark.parametrize("page", by_page(PAGES))
+def test_no_page_needs_the_builder_of_the_site(page):
+    text = page.read_text(encoding="utf-8")
+    assert page.name == "modules.md" or not re.search(r"^\s*[`:]{3,}\{|\{[\w:]+\}`", text, re.MULTILINE)
+
+
+def test_every_example_is_on_its_page():
+    assert {*links(ROOT / "docs" / "examples.md")} == {
+        f"../examples/{path.name}" for path in (ROOT / "examples").glob("*.py")
+    }
