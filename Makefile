@@ -63,7 +63,7 @@ format: $(READY) ## repair and format with ruff
 
 docs: $(READY_DOCS) ## HTML pages in docs/_build/html; a warning is an error
 	rm -rf docs/_generated # pages of modules that are gone
-	$(PYTHON) -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	$(PYTHON) -m sphinx -q -E -W --keep-going -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 figures: $(READY) ## every figure of both papers (medium), and its page in the docs (an hour, and nine hours; resumable)

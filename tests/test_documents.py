@@ -51,6 +51,10 @@ class Block:
     text: str
     mark: tuple[str, str] | None
 
+    @property
+    def runs(self):
+        return self.language not in SHOWN and not (self.mark and self.mark[0] == "not run")
+
     def small(self):
         """Return the text with the substitutions of its mark."""
         text = self.text
@@ -77,6 +81,7 @@ def by_page(pages):
 
 
 with_blocks = pytest.mark.parametrize("page", by_page(page for page in PAGES if blocks(page)))
+that_run = pytest.mark.parametrize("page", by_page(page for page in PAGES if any(block.runs for block in blocks(page))))
 
 
 @pytest.fixture
@@ -93,10 +98,12 @@ def test_blocks_name_their_language_and_are_run_or_say_why_not(page):
     for block in blocks(page):
         where = f"{page}:{block.line}"
         assert block.language in {"bash", "python", *SHOWN}, where
-        if block.mark and block.mark[0] == "not run":
+        if block.runs:
+            small = block.small()
+            if block.language == "python":
+                compile(small, where, "exec")
+        elif block.language not in SHOWN:
             assert len(block.mark[1].split()) > 1, f"{where}: a reason"
-        elif block.language == "python":
-            compile(block.small(), where, "exec")
 
 
 @with_blocks
@@ -112,10 +119,9 @@ def test_commands_have_verbs_and_options_of_the_parser(page, folder):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@with_blocks
+@that_run
 def test_blocks_run_in_the_order_of_the_page(page, folder, environment):
-    found = [block for block in blocks(page) if block.language not in SHOWN]
-    found = [block for block in found if not block.mark or block.mark[0] == "test"]
+    found = [block for block in blocks(page) if block.runs]
     task = json.dumps([(str(page), block.line, block.language, block.small()) for block in found])
     launch = ["bash", "-c", 'export PYTHON="$1" && . "$0" && exec "$1" -c "$2"', MPI_ENV, sys.executable, RUN]
     run = subprocess.run(launch, input=task, text=True, capture_output=True, env=environment)

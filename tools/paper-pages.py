@@ -12,6 +12,7 @@ from PIL import Image
 
 END = "<!-- end of results -->"
 
+
 def summary(tables: list[Path]) -> str:
     """Return all numbers of VOT that have a value in the paper, as a table, and the runs of each set."""
     lines = ["| figure | quantity | here | paper |", "|---|---|---|---|"]
