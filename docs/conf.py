@@ -141,11 +141,10 @@ def contents(found):
 
 
 def captions(app, doctree):
-    """A picture that is a paragraph becomes a figure with its caption, and each a link to its full size."""
+    """A picture that is a paragraph becomes a figure with its caption, and a link to its full size."""
     for image in list(doctree.findall(nodes.image)):
-        if not isinstance(image.parent, nodes.reference):
-            image["width"] = "100%"  # which makes Sphinx link it
         if isinstance(image.parent, nodes.paragraph) and len(image.parent) == 1:
+            image["width"] = "100%"  # which makes Sphinx link it
             name = nodes.make_id(image["uri"])
             image.parent.replace_self(nodes.figure("", image, nodes.caption("", image["alt"]), ids=[name]))
 
