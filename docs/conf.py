@@ -5,15 +5,20 @@
 - a link to a .py or .toml that is a paragraph becomes the file itself, one to a module within a text its reference.
 """
 
+import base64
 import inspect
+import json
 import os
 import re
+import sys
 from importlib import import_module
 from pathlib import Path
 
 os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # petscjam.md.cuda is imported without a GPU
+sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 
 import ziamath
+from documents import blocks
 from docutils import nodes
 from PIL import Image
 
@@ -50,7 +55,7 @@ napoleon_use_rtype = False
 here = Path(__file__).parent
 
 
-def gallery():
+def gallery(_):
     """Return a grid of small pictures of the figures of both papers, each a link to its page."""
     thumbs = here / "_generated" / "thumbs"
     thumbs.mkdir(parents=True, exist_ok=True)
@@ -72,7 +77,38 @@ def gallery():
     return "\n".join([*lines, ":::"])
 
 
-def python():
+def notebook(page):
+    """Write a page as a Jupyter notebook with its outputs, and return a link to it."""
+    cells, lines, at = [], page.read_text().split("\n"), 0
+
+    def prose(text):
+        for picture in re.findall(r"!\[.*\]\((.*)\)", text):
+            data = base64.b64encode((page.parent / picture).read_bytes()).decode()
+            cells[-1]["outputs"].append({"output_type": "display_data", "metadata": {}, "data": {"image/png": data}})
+        text = re.sub(r"<!--.*?-->|!\[.*\]\(.*\)", "", text, flags=re.DOTALL)
+        text = re.sub(r"\[([^\]]+)\]\([^)]*\)", r"\1", text).strip()
+        if text:
+            cells.append({"cell_type": "markdown", "metadata": {}, "source": text})
+
+    for block in blocks(page):
+        prose("\n".join(lines[at : block.line - 2]))
+        at = block.line + block.text.count("\n")
+        if block.mark == "output":
+            cells[-1]["outputs"].append({"output_type": "stream", "name": "stdout", "text": block.text})
+        else:
+            source = "%%bash\n" * (block.language == "bash") + block.text.rstrip()
+            code = {"cell_type": "code", "metadata": {}, "execution_count": None, "source": source, "outputs": []}
+            cells.append(code)
+    prose("\n".join(lines[at:]))
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    whole = {"nbformat": 4, "nbformat_minor": 4, "metadata": {"kernelspec": kernel}, "cells": cells}
+    folder = here / "_generated" / "notebooks"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{page.stem}.ipynb").write_text(json.dumps(whole, indent=1, ensure_ascii=False))
+    return f"[As a notebook](../_generated/notebooks/{page.stem}.ipynb)"
+
+
+def python(_):
     """Return an entry for each public name."""
     lines = []
     for module in ("petscjam", "petscjam.md", "petscjam.plots"):
@@ -89,7 +125,7 @@ def python():
     return "\n".join(lines)
 
 
-def command():
+def command(_):
     """Return all verbs with their options, from the parser."""
     lines, form = [], Help("petscjam")
     verbs = build_parser()._subparsers._group_actions[0]
@@ -118,7 +154,7 @@ def read(app, name, source):
     page = here / f"{name}.md"
     if not page.exists():
         return
-    text = re.sub(r"<!-- site: (\w+) -->", lambda found: globals()[found[1]](), source[0])
+    text = re.sub(r"<!-- site: (\w+) -->", lambda found: globals()[found[1]](page), source[0])
     text = re.sub(
         r"^\[[^\]]+\]\(([./\w-]+\.(?:py|toml))\)$",
         lambda found: f"```{{literalinclude}} {found[1]}\n```",
@@ -168,13 +204,25 @@ def formula(writer, node):
     raise nodes.SkipNode
 
 
-def keep_bars(app, what, name, obj, options, lines):
-    """In a docstring |δ| is an absolute value, not reStructuredText's substitution."""
+def before_napoleon(app, what, name, obj, options, lines):
+    """Keep the first line of a property: napoleon takes what stands before a colon for a type."""
+    if what == "property":
+        lines.insert(0, "\\")  # an escaped end of line, which is nothing
+
+
+def after_napoleon(app, what, name, obj, options, lines):
+    """Name attributes that are described together: Sphinx takes "K, B" for B of the type K; |δ| is no substitution."""
+    lines[:] = [re.sub(r"(?<=^:ivar )[\w, ]+:|(?<=^:vartype )[\w, ]+:", joined, line) for line in lines]
     lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def joined(found):
+    return found[0].replace(", ", ",")
 
 
 def setup(app):
     app.connect("source-read", read)
     app.connect("doctree-read", captions)
-    app.connect("autodoc-process-docstring", keep_bars)
+    app.connect("autodoc-process-docstring", before_napoleon, priority=400)
+    app.connect("autodoc-process-docstring", after_napoleon, priority=600)
     app.add_html_math_renderer("svg", (formula, None), (formula, None))

@@ -3,21 +3,15 @@
 CONTRIBUTING.md describes the marks above a block.
 """
 
-import json
 import re
 import shlex
-import subprocess
-import sys
-from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from conftest import MPI_ENV
+from documents import ROOT, SHOWN, blocks, run
 from markdown_it import MarkdownIt
 
-ROOT = Path(__file__).parents[1]
 BUILT = ("_build", "_generated")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += sorted(page for page in (ROOT / "docs").rglob("*.md") if not {*BUILT} & {*page.parts})
@@ -26,54 +20,6 @@ THERE = {  # files that a reader has
     "jaxmd.nc": "tests/data/jaxmd-2d-polyuniform-N64-Lp-1.nc",
     "library.toml": "mpi_runs/library.toml",
 }
-SHOWN = {"text", "toml"}  # neither commands nor Python
-
-# Blocks of Python share their names. Each block of commands is a shell of its own, with the first environment.
-RUN = """
-import json, os, subprocess, sys
-environment, names = dict(os.environ), {"__name__": "__main__"}
-for page, line, language, text in json.load(sys.stdin):
-    print(f"-- {page}:{line}", flush=True)
-    if language == "bash":
-        subprocess.run(["bash", "-euo", "pipefail", "-c", text], env=environment, stdin=subprocess.DEVNULL, check=True)
-    else:
-        exec(compile("\\n" * (line - 1) + text, page, "exec"), names)
-"""
-
-
-@dataclass
-class Block:
-    """A block of a page, the line where it starts, and the mark above it: ``("test", …)``, ``("not run", …)``."""
-
-    page: Path
-    line: int
-    language: str
-    text: str
-    mark: tuple[str, str] | None
-
-    @property
-    def runs(self):
-        return self.language not in SHOWN and not (self.mark and self.mark[0] == "not run")
-
-    def small(self):
-        """Return the text with the substitutions of its mark."""
-        text = self.text
-        for change in self.mark[1].split(";") if self.mark else ():
-            old, new = (part.strip() for part in change.split("→"))
-            assert old in text, f"{self.page}:{self.line}: the mark replaces {old!r}, which is not there"
-            text = text.replace(old, new)
-        return text
-
-
-def blocks(page):
-    """Return the blocks of a page, without directives of the site."""
-    found, mark = [], None
-    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
-        if token.type in ("fence", "code_block") and not token.info.startswith("{"):
-            found.append(Block(page, token.map[0] + 2, token.info, token.content, mark))
-        seen = re.fullmatch(r"<!-- (test|not run): (.*?) *-->\s*", token.content, re.DOTALL)
-        mark = seen.groups() if token.type == "html_block" and seen else None
-    return found
 
 
 def by_page(pages):
@@ -103,7 +49,7 @@ def test_blocks_name_their_language_and_are_run_or_say_why_not(page):
             if block.language == "python":
                 compile(small, where, "exec")
         elif block.language not in SHOWN:
-            assert len(block.mark[1].split()) > 1, f"{where}: a reason"
+            assert len(block.said.split()) > 1, f"{where}: a reason"
 
 
 @with_blocks
@@ -121,11 +67,8 @@ def test_commands_have_verbs_and_options_of_the_parser(page, folder):
 @pytest.mark.timeout(1800)
 @that_run
 def test_blocks_run_in_the_order_of_the_page(page, folder, environment):
-    found = [block for block in blocks(page) if block.runs]
-    task = json.dumps([(str(page), block.line, block.language, block.small()) for block in found])
-    launch = ["bash", "-c", 'export PYTHON="$1" && . "$0" && exec "$1" -c "$2"', MPI_ENV, sys.executable, RUN]
-    run = subprocess.run(launch, input=task, text=True, capture_output=True, env=environment)
-    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-4000:]
+    done = run(blocks(page), folder, True, environment)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
 def links(page):
