@@ -9,7 +9,7 @@ READY := $(if $(filter .venv/bin/python,$(PYTHON)),$(STAMP))
 READY_DOCS := $(if $(READY),.venv/.docs)
 export PYTHON STACK
 
-.PHONY: help setup demo figures test test-fast test-slow test-docs test-fresh coverage lint format docs bench bench-bounds \
+.PHONY: help setup demo figures test test-fast test-slow test-docs tutorials test-fresh coverage lint format docs bench bench-bounds \
     bench-scaling bench-lammps bench-shear bench-cuda clean
 .DEFAULT_GOAL := help
 
@@ -40,6 +40,9 @@ test-slow: $(READY) ## the slow tests
 
 test-docs: $(READY) ## every command and block of Python in README.md and docs, in small sizes (ten minutes)
 	$(PYTHON) -m pytest tests/test_documents.py
+
+tutorials: $(READY) ## the tutorials in full size: their outputs and pictures, put into the pages (half an hour and more)
+	$(PYTHON) tools/documents.py docs/tutorial/*.md
 
 coverage: $(READY) ## coverage of the tests, as a table and in docs/_build/coverage (twice the time of make test)
 	rm -f .coverage .coverage.*
