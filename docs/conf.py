@@ -155,18 +155,18 @@ def read(app, name, source):
     if not page.exists():
         return
     text = re.sub(r"<!-- site: (\w+) -->", lambda found: globals()[found[1]](page), source[0])
-    text = re.sub(
-        r"^\[[^\]]+\]\(([./\w-]+\.(?:py|toml))\)$",
-        lambda found: f"```{{literalinclude}} {found[1]}\n```",
-        text,
-        flags=re.MULTILINE,
-    )
+    text = re.sub(r"^\[[^\]]+\]\(([./\w-]+\.(py|toml))\)$", shown, text, flags=re.MULTILINE)
     text = re.sub(
         r"\[([^\]]+)\]\([./]+/src/(petscjam/[\w/]+?)(?:/__init__)?\.py\)",
         lambda found: f"{{py:mod}}`{found[1].strip('`')} <{found[2].replace('/', '.')}>`",
         text,
     )
     source[0] = re.sub(r"<!-- toctree(?:: (.+))? -->\n\n((?:(?:- |  ).+\n)+)", contents, text)
+
+
+def shown(found):
+    language = {"py": "python", "toml": "toml"}[found[2]]
+    return f"```{{literalinclude}} {found[1]}\n:language: {language}\n```"
 
 
 def contents(found):
