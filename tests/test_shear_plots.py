@@ -420,11 +420,12 @@ def drawn(monkeypatch):
     """The figures that were to be saved; each is drawn once, so that nothing in it is broken."""
     figures = []
 
-    def keep(figure, path, dpi=150):
+    def keep(figure, path):
         figure.canvas.draw()
         figures.append(figure)
+        return figure
 
-    monkeypatch.setattr(shear, "save", keep)
+    monkeypatch.setattr(shear, "finished", keep)
     return figures
 
 
@@ -558,7 +559,7 @@ def test_runs_alike_are_one_point(drawn):
     runs = [synthetic_run(seed=seed) for seed in range(4)]
     shear.plot_flow({str(k): run for k, run in enumerate(runs)}, None)
     (curve,) = drawn[0].axes[0].containers
-    means = [run.mean("pressure_elastic").value for run in runs]
+    means = [run.mean("stress").value for run in runs]
     assert curve[0].get_ydata() == pytest.approx([np.mean(means)])
     (segment,) = curve[2][0].get_segments()
     assert np.diff(segment[:, 1])[0] / 2 == pytest.approx(np.std(means, ddof=1) / 2)
@@ -574,5 +575,8 @@ def test_flow_curves_refuse_what_is_not_steady():
 def test_disks_that_do_not_turn_have_no_panels_of_spin(drawn):
     run = synthetic_run()
     shear.plot_flow({"a": replace(run, rows={**run.rows, "spin": np.zeros(200)})}, None)
-    assert len(drawn[0].axes) == 6
+    labels = [axes.get_ylabel() for axes in drawn[0].axes if axes.axison]
+    assert labels[:2] == [r"shear stress $\Sigma$  ($m/\tau_e^2$)", r"friction $\mu = \Sigma/P$"]
+    assert len(labels) == 7
+    assert not any("theta" in label for label in labels)
     assert isinstance(drawn[0], Figure)

@@ -19,6 +19,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam.analysis.statistics import standard_error
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
 from petscjam.base.progress import Report
@@ -45,7 +46,7 @@ class LaneCorrelation(NamedTuple):
 
 
 class CorrelationLength(NamedTuple):
-    """Over some packings: ω (W,), mean L, δ (D,), mean C (W, D), its zero l (W,), and the error of l (W,)."""
+    """Over some packings: ω (W,), mean L, δ (D,), mean C (W, D), its zero l (W,), and the errors of l and of C."""
 
     omega: Array
     L: float
@@ -53,6 +54,7 @@ class CorrelationLength(NamedTuple):
     C: Array
     length: Array
     error: Array
+    C_error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +305,7 @@ def correlation_length(
     """Return the zero of the mean of C over several packings, with its jackknife error.
 
     Their cells may differ slightly, so C is averaged at the same δ/L, and lengths are those of the mean cell.
-    The error is NaN for a single packing.
+    The errors are NaN for a single packing; that of C is the standard error of the mean.
 
     Parameters
     ----------
@@ -331,7 +333,8 @@ def correlation_length(
     left = np.array([[zero_crossing(delta, row) for row in one] for one in without])
     mean = C.mean(0)
     length = np.array([zero_crossing(delta, row) for row in mean])
-    return CorrelationLength(stable[0].omega, L, delta, mean, length, np.sqrt((n - 1) * left.var(0)))
+    error = np.sqrt((n - 1) * left.var(0))
+    return CorrelationLength(stable[0].omega, L, delta, mean, length, error, standard_error(C))
 
 
 def _at(delta: Array, known: Array, C: Array) -> Array:

@@ -9,6 +9,7 @@ Axes: w frequency, v random vector, m moment, c contact, i disk, x Cartesian.
 from __future__ import annotations
 
 from argparse import ArgumentParser
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 ROUNDING = 1e-9  # tolerance of |⟨v, T_m v⟩| ≤ 1
 WEIGHTINGS = 20  # iterations that improve the bound on λ
 TABLE = 1 << 22  # cosines in memory at once
+SMOOTH = 20.0  # modes under the kernel of a smooth D
 WIDTHS = 4  # smallest ω/σ in the search for the onset of the plateau
 
 
@@ -359,6 +361,45 @@ def series(moments: Array, edge: float, omega: Array) -> dict[str, Any]:
     }
 
 
+def widened(density: DensityOfStates, omega: Array, width: Array) -> tuple[Array, Array]:
+    """Return D and its error with a wider kernel.
+
+    Parameters
+    ----------
+    density : DensityOfStates
+    omega, width : (W,)
+        ``width`` is the standard deviation of the kernel; if the resolution is more, that.
+    """
+    moments, edge = density.moments, density.edge
+    slope = np.sqrt(edge**2 - omega**2) / 2
+    counts = np.clip(np.pi * slope / width - 1, 2, moments.shape[1]).astype(int)
+    found = [series(moments[:, :M], edge, omega[w : w + 1]) for w, M in enumerate(counts)]
+    D, error = np.array([(one["density"][0], one["error"][0]) for one in found]).T
+    return D, error
+
+
+def smoothed(densities: Sequence[DensityOfStates], omega: ArrayLike) -> tuple[Array, Array]:
+    """Return the mean of D over packings, with a kernel wide enough to be smooth, and its standard error, (W,), (W,).
+
+    The kernel has the standard deviation for which ``SMOOTH`` modes of all packings are within ± it on the plateau of
+    D, but at most ω/4 and (Ω − ω)/4. The error is that of the mean over packings; of one packing, that over its
+    random vectors.
+
+    Parameters
+    ----------
+    densities : sequence of DensityOfStates
+        Of packings of one size and pressure.
+    omega : (W,)
+        Below all edges Ω.
+    """
+    omega = np.asarray(omega, dtype=float)
+    modes = sum(d.modes * plateau(d).height for d in densities)
+    width = np.minimum(omega / WIDTHS, SMOOTH / (2 * modes))
+    found = [widened(d, omega, np.minimum(width, (d.edge - omega) / WIDTHS)) for d in densities]
+    mean = np.mean([D for D, _ in found], axis=0)
+    return mean, standard_error([D for D, _ in found]) if len(found) > 1 else found[0][1]
+
+
 def plateau(density: DensityOfStates) -> Plateau:
     """Return the height of the plateau of D, and the frequency ω* of its onset.
 
@@ -371,9 +412,7 @@ def plateau(density: DensityOfStates) -> Plateau:
     heights = (shares[:, 1] - shares[:, 0]) / (high - low)
     height, error = float(heights.mean()), float(standard_error(heights))
     omega = np.geomspace(WIDTHS * float(density.at(0.0).resolution[0]), low, 200)
-    slope = np.sqrt(edge**2 - omega**2) / 2
-    counts = np.clip(np.pi * WIDTHS * slope / omega - 1, 2, moments.shape[1]).astype(int)
-    D = np.array([series(moments[:, :M], edge, omega[w : w + 1])["density"][0] for w, M in enumerate(counts)])
+    D, _ = widened(density, omega, omega / WIDTHS)
     below = np.flatnonzero(D < height / 2)
     if omega[0] > low or len(below) == 0 or below[-1] == len(D) - 1:
         return Plateau(height, error, np.nan)

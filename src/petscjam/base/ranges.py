@@ -74,6 +74,7 @@ COMPRESSION = Range(0, 0.1)
 MODES = Range(1, 1e6, whole=True)
 MOMENTS = Range(2, 1e6, whole=True)
 VECTORS = Range(2, 1e5, whole=True)
+DPI = Range(10, 2400)
 STRESS = Range(1e-50, 1e50)
 ALPHA = Range(0.01, 100)
 QUASISTATIC = Range(1e-10, 10)  # sizes of strains; events are located to 1e-10

@@ -52,6 +52,7 @@ def figure(options: argparse.Namespace, comm: Comm) -> None:
     from petscjam.base.progress import progress
     from petscjam.figures import Request, make_figure
     from petscjam.parallel.petsc import start
+    from petscjam.plots.figure import house_style
 
     start(comm)
     folder = options.output or Path("runs") / options.preset
@@ -59,7 +60,7 @@ def figure(options: argparse.Namespace, comm: Comm) -> None:
     def log(line: str) -> None:
         print(line, flush=True)
 
-    with progress(f"figure {options.name}", show=comm.rank == 0) as report:
+    with progress(f"figure {options.name}", show=comm.rank == 0) as report, house_style(options.style, options.dpi):
         request = Request(
             options.name,
             options.preset,

@@ -270,6 +270,7 @@ def _figure(known: Verbs) -> None:
     text = "prepare no packings and make no runs, use those in the folder"
     p.add_argument("--existing", action="store_true", help=text)
     engine(p)
+    style(p)
     text = "folder of packings, runs, results, NAME.png, NAME.md and NAME.csv, for all figures (default runs/PRESET)"
     output(p, "FOLDER", text, required=False)
 
@@ -280,6 +281,7 @@ def _plot(known: Verbs) -> None:
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     text = "of a sheared run: packing fraction and strain rate around each disk in the last state (VOT fig. 27)"
     p.add_argument("--maps", action="store_true", help=text)
+    style(p)
     output(
         p,
         "FIG.png",
@@ -316,6 +318,14 @@ def declare(p: Parser, kind: str) -> None:
     team_size(p)
     output(p, "OUT.h5", verb.output)
     p.set_defaults(analyse=verb.analyse, settings=settings, declared=(result, verb))
+
+
+def style(p: Parser) -> None:
+    """Add the look of a figure."""
+    text = "pixels per inch (default 150)"
+    p.add_argument("--dpi", type=Within(number, ranges.DPI), metavar="X", help=text)
+    text = "style sheet of matplotlib, by its name (as dark_background) or its file; its settings count more than ours"
+    p.add_argument("--style", metavar="NAME", help=text)
 
 
 def reading(p: Parser) -> None:

@@ -229,6 +229,7 @@ def plot(options: argparse.Namespace, comm: Comm) -> None:
     def work() -> None:
         from petscjam.base.files import check_output, naming
         from petscjam.io.kinds import recognise
+        from petscjam.plots.figure import house_style
         from petscjam.plots.files import CONTENTS
         from petscjam.plots.shear import plot_maps
 
@@ -239,7 +240,7 @@ def plot(options: argparse.Namespace, comm: Comm) -> None:
         if options.maps and kind != "run":
             raise InputError(f"plot: --maps goes with a sheared run, and {given} is none")
         found = CONTENTS[kind].read(given)
-        with naming(given):
+        with naming(given), house_style(options.style, options.dpi):
             if options.maps:
                 plot_maps(found.state, target)
             else:

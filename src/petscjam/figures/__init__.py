@@ -189,6 +189,7 @@ def make_figure(
         On an unknown figure, preset or parameter, or an output that exists.
     """
     from petscjam.figures.data import FigureData
+    from petscjam.plots.figure import house_style
 
     agree(comm, request)
     parameters = on_root(comm, request.parameters)
@@ -201,7 +202,8 @@ def make_figure(
         data = FigureData(
             parameters, folder, comm, request.overwrite, request.existing, progress, log, engine=request.engine
         )
-        import_module(f"petscjam.figures.{module_of(name)}").draw(data)
+        with house_style():
+            import_module(f"petscjam.figures.{module_of(name)}").draw(data)
         text = data.page.text(request.command, parameters.values)
         on_root(comm, write_atomically, page, text.encode())
         on_root(comm, write_atomically, table, data.page.table.encode())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,10 @@ from petscjam.figures.panels import draw_mean, guide
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import STORAGE, save
+from petscjam.plots.legends import setting
 from petscjam.plots.modulus import draw_fields
 from petscjam.plots.packing import draw_packing
 from petscjam.rows.damping import ContactDamping
-
-if TYPE_CHECKING:
-    pass
 
 
 def draw(data: FigureData) -> None:
@@ -41,17 +39,14 @@ def _draw(page: Page, results: Mapping[str, Any], picture: Path) -> None:
     above, below = halves
     axes = above.subplots()
     pressure = some[0].origin.pressure
-    draw_mean(axes, some, STORAGE, f"mean of {len(some)} packings, p = {pressure:.2g}")
+    draw_mean(axes, some, STORAGE, f"mean of {len(some)} packings, {setting('pressure', pressure)}")
     guide(axes, (1e-9, 1e-7), 1e-9, 1, "slope 1")
     guide(axes, (1e-3, 1e-1), 2.5e-3, 0.5, "slope ½")
-    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  ($k$)")
     axes.set_ylim(top=1e7)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(loc="lower right")
     inset = axes.inset_axes((0.02, 0.56, 0.3, 0.42))
-    draw_packing(inset, some[0].geometry, size=3.0)
-    inset.set_title("")
-    for text in list(inset.texts):
-        text.remove()
+    draw_packing(inset, some[0].geometry, size=3.0, caption=False)
     draw_fields(below, some[0])
     save(figure, picture)
     omega = some[0].omega

@@ -70,8 +70,8 @@ def _draw_contacts(axes: Axes, problem: LinearProblem, q: Any) -> None:
             arrows(axes, point, amount / size * direction, color=colour, width=0.008, headwidth=3.5, minlength=0)
     axes.plot([], [], color=STORAGE, label=r"$\Delta\dot u^\parallel$")
     axes.plot([], [], color=LOSS, label=r"$\Delta\dot u^{\perp,c}$, rotations counted")
-    axes.legend(frameon=False, loc="upper left")
-    axes.set_title("(a) contact damping: velocities at contacts,\nseen from the middle disk", fontsize=10)
+    axes.legend(loc="upper left")
+    axes.set_title("(a) contact damping: velocities at contacts,\nseen from the middle disk")
     reach = 2.6 * network.radii.max() * 1.2
     axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
     axes.set_axis_off()
@@ -92,6 +92,6 @@ def _draw_drag(axes: Axes, packing: Packing, problem: LinearProblem, q: Any) -> 
     flow = np.stack([longest * (y / height - 0.5), np.zeros(9)], axis=1)
     arrows(axes, np.stack([np.full(9, start), y], axis=1), flow, color=LOSS, width=0.005)
     axes.annotate(r"$\dot\gamma y$", (start, height), (-8, 8), textcoords="offset points", color=LOSS)
-    axes.set_title("(b) Stokes drag: velocities against the affine flow", fontsize=10)
+    axes.set_title("(b) Stokes drag: velocities against the affine flow")
     axes.set(aspect="equal", xlim=(-0.36 * height, 1.05 * height), ylim=(-0.05 * height, 1.1 * height))
     axes.set_axis_off()

@@ -18,8 +18,8 @@ from petscjam.figures.page import Finding, Page
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
-from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, given, law_text, setting
 from petscjam.rows.damping import ContactDamping, DampingLaw
 
 if TYPE_CHECKING:
@@ -59,18 +59,19 @@ def draw_collapse(
         if not groups:
             continue
         exponents(page, groups, given(prestress), affine)
-        colour = coloured(list(groups))
+        shades = Shades("pressure", groups)
         for p, some in groups.items():
-            draw_mean(row[0], some, colour(p), f"p = {p:.2g} ({len(some)})")
-            draw_mean(row[1], some, colour(p), "", x=1 / p, y=p**-0.5, most=affine)
+            look: dict[str, Any] = {"colour": shades(p), "marker": shades.marker(p)}
+            draw_mean(row[0], some, label=f"{setting('pressure', p)} ({len(some)})", **look)
+            draw_mean(row[1], some, label="", x=1 / p, y=p**-0.5, most=affine, **look)
         guide(row[0], (1e-6, 1e-4), 8e-7, 1, "slope 1")
         guide(row[1], (1e-2, 0.3), 8e-4, 1, "slope 1")
         guide(row[1], (30, 1e3), 0.5, 0.5, "slope ½")
-        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-        row[0].set_title(f"{law}, {given(prestress)}; (number of packings)", fontsize=10)
-        row[0].legend(frameon=False, fontsize=8)
-        row[1].set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
-        row[1].set_title(rf"collapse with the paper's exponents, $\omega\tau_1 \leq$ {affine:g}", fontsize=10)
+        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  ($k$)")
+        row[0].set_title(f"{law_text(law)}, {given(prestress)}, (number of packings)")
+        row[0].legend()
+        row[1].set(xlabel=r"$\omega\tau_1/p$  ($1/k$)", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)  ($k^{1/2}$)")
+        row[1].set_title(rf"collapse with the paper's exponents, $\omega\tau_1 \leq$ {affine:g}")
     save(figure, picture)
 
 

@@ -15,8 +15,8 @@ from petscjam.figures.page import Page
 from petscjam.figures.panels import draw_mean, guide
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
-from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, given, setting
 from petscjam.rows.damping import ContactDamping
 
 if TYPE_CHECKING:
@@ -71,15 +71,15 @@ def _draw_undamped(page: Page, panels: Sequence[Axes], results: Mapping[str, Com
         groups = by_pressure(results.values(), prestress=prestress)
         if not groups:
             continue
-        colour, p, how = coloured(list(groups)), np.array(list(groups)), given(prestress)
+        shades, p, how = Shades("pressure", groups), np.array(list(groups)), given(prestress)
         for x, some in groups.items():
             for axes, y in ((panels[0], 1.0), (panels[1], x**-0.5)):
                 if prestress:
-                    draw_mean(axes, some, colour(x), f"p = {x:.2g}", y=y)
+                    draw_mean(axes, some, shades(x), setting("pressure", x), marker=shades.marker(x), y=y)
                 else:
                     mean = np.mean([g.values for g in some], axis=0) * y
-                    axes.loglog(some[0].omega, mean.real, "-", color=colour(x), lw=1.5)
-                    axes.loglog(some[0].omega, mean.imag, "--", color=colour(x), lw=1.5)
+                    axes.loglog(some[0].omega, mean.real, "-", color=shades(x), lw=1.5)
+                    axes.loglog(some[0].omega, mean.imag, "--", color=shades(x), lw=1.5)
         for name, limit, paper in (
             ("G0 ~ p^μ", "G0", "1/2"),
             ("η0 ~ p^x", "eta0", "1/2"),
@@ -87,11 +87,11 @@ def _draw_undamped(page: Page, panels: Sequence[Axes], results: Mapping[str, Com
         ):
             samples = [[getattr(g, limit) for g in some] for some in groups.values()]
             page.exponent(f"β = 0, {name}, {how}", p, samples, paper)
-    panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  (units of $k$)")
-    panels[0].set_title("(a) β = 0: with pre-stress (symbols), without (lines)", fontsize=10)
-    panels[0].legend(frameon=False, fontsize=8)
-    panels[1].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'/p^{1/2}$, $G''/p^{1/2}$")
-    panels[1].set_title("(a) collapse by $p^{1/2}$, no rescaling of the frequency", fontsize=10)
+    panels[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●, line), $G''$ (○, dashed)  ($k$)")
+    panels[0].set_title("(a) β = 0: with pre-stress (symbols), without (lines)")
+    panels[0].legend()
+    panels[1].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'/p^{1/2}$, $G''/p^{1/2}$  ($k^{1/2}$)")
+    panels[1].set_title("(a) collapse by $p^{1/2}$, no rescaling of the frequency")
 
 
 def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Viscosity]) -> None:
@@ -100,15 +100,12 @@ def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Visco
     η0 = η0(0) + sβ is exact, and is computed from two direct solves, because at large β the range of frequencies
     ends too early.
     """
-    from matplotlib import colormaps
-
     groups = grouped(results.values(), lambda g: g.damping.beta)
-    low, high = np.log(min(groups)), np.log(max(groups))
+    shades = Shades("beta", groups)
     inset = axes.inset_axes((0.1, 0.68, 0.36, 0.3))
-    inset.set(xscale="log", yscale="log", xlabel=r"$\beta$")
+    inset.set(xscale="log", yscale="log", xlabel=r"$\beta$", ylabel=r"$\eta$  ($k\tau_1$)")
     for beta, some in groups.items():
-        colour = colormaps["plasma"](0.85 * (np.log(beta) - low) / (high - low))
-        draw_mean(axes, some, colour, f"β = {beta:.0e}")
+        draw_mean(axes, some, shades(beta), setting("beta", beta), marker=shades.marker(beta))
     axes.set_ylim(top=1e7)
     betas = np.array(list(groups))
     none, full = (_by_packing(eta0, law) for law in (UNDAMPED, ContactDamping()))
@@ -119,28 +116,29 @@ def _draw_betas(axes: Axes, results: Mapping[str, Any], eta0: Mapping[str, Visco
         if not samples[0]:  # there is no direct solve for η0 at this pressure
             continue
         inset.errorbar(betas, *means(samples), fmt=f"{marker}-", ms=3, lw=0.8, label=label)
-    inset.legend(frameon=False, fontsize=7)
+    inset.legend()
     inset.tick_params(labelsize=7)
     pressure = next(iter(results.values())).origin.pressure
-    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-    axes.set_title(f"(b) p = {pressure:.2g}, with pre-stress, varying β", fontsize=10)
-    axes.legend(frameon=False, fontsize=7, loc="lower right")
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  ($k$)")
+    axes.set_title(f"(b) {setting('pressure', pressure)}, with pre-stress, varying β")
+    axes.legend(loc="lower right")
 
 
 def _draw_centres(page: Page, axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
     """Draw β = 1 with friction at the centres, scaled as with rotations."""
     groups = by_pressure(results.values(), prestress=False)
-    colour = coloured(list(groups))
+    shades = Shades("pressure", groups)
     for x, some in groups.items():
-        draw_mean(axes, some, colour(x), f"p = {x:.2g}", x=1 / x, y=x**-0.5, most=0.05)
+        look: dict[str, Any] = {"colour": shades(x), "marker": shades.marker(x)}
+        draw_mean(axes, some, label=setting("pressure", x), x=1 / x, y=x**-0.5, most=0.05, **look)
     guide(axes, (30, 1e3), 0.5, 0.5, "slope ½")
     p = np.array(list(groups))
     for name, limit, paper in (("G0 ~ p^μ", "G0", "1/2"), ("η0 ~ p^(μ−λ)", "eta0", "−1/2")):
         samples = [[getattr(g, limit) for g in some] for some in groups.values()]
         page.exponent(f"β = 1 at the centres, {name}, without pre-stress", p, samples, paper)
-    axes.set(xlabel=r"$\omega\tau_1/p$", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)")
-    axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse", fontsize=10)
-    axes.legend(frameon=False, fontsize=8)
+    axes.set(xlabel=r"$\omega\tau_1/p$  ($1/k$)", ylabel=r"$G'/p^{1/2}$ (●), $G''/p^{1/2}$ (○)  ($k^{1/2}$)")
+    axes.set_title("β = 1 at the centres (no rolling), without pre-stress: collapse")
+    axes.legend()
 
 
 def _by_packing(results: Mapping[str, Viscosity], law: ContactDamping) -> dict[str, float]:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
-from petscjam.analysis.statistics import by_pressure, means
+from petscjam.analysis.statistics import by_pressure, means, nominal
 from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
-from petscjam.plots.figure import pressure_colours as coloured
+from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, axis_label, given
 from petscjam.plots.nonaffine import LABELS, STYLES, draw_distribution
 
 if TYPE_CHECKING:
@@ -62,12 +62,14 @@ def _draw(page: Page, results: Mapping[str, QuasistaticResponse], picture: Path)
                     panels[name].plot(p, fit.prefactor * p**fit.exponent, "--", color=colour, lw=1)
         _draw_energy(panels["energy"], p, groups, prestress)
     for name in ("median", "mean"):
-        panels[name].set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"{name}, per unit strain")
-        panels[name].legend(frameon=False, fontsize=7)
+        panels[name].set(xscale="log", yscale="log", xlabel=axis_label("pressure"))
+        panels[name].set_ylabel(f"{name}, per unit strain  ($d$)")
+        panels[name].legend()
     stable = list(results.values())
-    colours = coloured([r.origin.pressure for r in stable])
+    shades = Shades("pressure", [nominal(r.origin.pressure) for r in stable])
     for motion in MOTIONS:
-        draw_distribution(panels[motion], stable, motion, colours)
+        draw_distribution(panels[motion], stable, motion, shades)
+    shades.show(panels[MOTIONS[-1]], markers=False)
     save(figure, picture)
 
 
@@ -79,5 +81,7 @@ def _draw_energy(axes: Axes, p: Any, groups: Mapping[float, list[QuasistaticResp
             text = {"stretching": "stretching", "pre_stress": "− pre-stress term", "shear_modulus": "$G_0$"}[name]
             face, label = None if prestress else "white", f"{text}, {given(prestress)}"
             axes.errorbar(p, mean, error, fmt=marker, ms=5, mfc=face, label=label)
-    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel="energy per area and $\\gamma^2/2$")
-    axes.legend(frameon=False, fontsize=7)
+    axes.set(
+        xscale="log", yscale="log", xlabel=axis_label("pressure"), ylabel="energy per area and $\\gamma^2/2$  ($k$)"
+    )
+    axes.legend()

@@ -13,6 +13,7 @@ from petscjam.figures.panels import draw_mean, guide
 from petscjam.io.jobs import ModulusAnalysis
 from petscjam.parallel.comm import on_root
 from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 from petscjam.rows.damping import StokesDrag
 
 if TYPE_CHECKING:
@@ -37,17 +38,17 @@ def draw(data: FigureData) -> None:
 
 def _draw_fluids(results: Mapping[str, ComplexModulus], picture: Path) -> None:
     """Draw G* at one pressure for every viscosity of the fluid."""
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     groups = grouped(results.values(), lambda g: g.damping.fluid)
     figure = Figure(figsize=(8, 6), layout="constrained")
     axes = figure.subplots()
-    for k, (eta, some) in enumerate(groups.items()):
-        draw_mean(axes, some, colormaps["plasma"](0.85 * k / len(groups)), rf"$\eta_F$ = {eta:.0e}")
+    shades = Shades("eta_fluid", groups)
+    for eta, some in groups.items():
+        draw_mean(axes, some, shades(eta), setting("eta_fluid", eta), marker=shades.marker(eta))
     guide(axes, (1e-4, 1e-2), 5e-4, 0.5, "slope ½")
     pressure = next(iter(results.values())).origin.pressure
-    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
-    axes.set_title(f"Stokes drag, p = {pressure:.2g}, with pre-stress", fontsize=10)
-    axes.legend(frameon=False, fontsize=8)
+    axes.set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  ($k$)")
+    axes.set_title(f"Stokes drag, {setting('pressure', pressure)}, with pre-stress")
+    axes.legend()
     save(figure, picture)

@@ -18,12 +18,14 @@ from petscjam.figures.data import FigureData
 from petscjam.figures.page import Finding, Page
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 from petscjam.rows.damping import ContactDamping, StokesDrag
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+LINES = "-", "--", ":"  # of each number of disks
 
 
 def draw(data: FigureData) -> None:
@@ -75,17 +77,26 @@ def _draw_contact(page: Page, axes: Axes, results: Mapping[str, Any]) -> None:
     for k, n in enumerate(sizes):
         some = {name: c for name, c in results.items() if c.origin.particles == n}
         mean = correlation_length(some)
-        for w, omega in enumerate(mean.omega):
-            label = rf"N = {n}, $\omega\tau_1$ = {omega:.0e} ({len(some)})"
-            axes.plot(mean.delta / mean.L, mean.C[w], ("-", "--", ":")[k % 3], color=f"C{w}", lw=1.2, label=label)
+        shades, line = Shades("omega", mean.omega.tolist()), LINES[k % len(LINES)]
+        for w in range(len(mean.omega)):
+            _draw_band(axes, mean, w, line, shades)
+        axes.plot([], [], line, color="0.3", label=f"{setting('particles', n)} ({len(some)})")
         _note_lengths(page, mean, f"contact damping, N = {n}")
         zero_stress = correlation_length(some, "imaginary")
         _note_lengths(page, zero_stress, f"contact damping, N = {n}, at zero stress")
     axes.axhline(0, color="0.6", lw=0.8)
     pressure = next(iter(results.values())).origin.pressure
     axes.set(xlabel=r"$\delta/L$", ylabel="$C$", ylim=(-1, 1.02))
-    axes.set_title(f"(a) contact damping, p = {pressure:.2g}; (number of packings)", fontsize=10)
-    axes.legend(frameon=False, fontsize=8)
+    axes.set_title(f"(a) contact damping, {setting('pressure', pressure)}, (number of packings)")
+    shades.show(axes)
+
+
+def _draw_band(axes: Axes, mean: CorrelationLength, w: int, line: str, shades: Shades) -> None:
+    """Draw the mean of C at a frequency ± its standard error."""
+    x, omega = mean.delta / mean.L, float(mean.omega[w])
+    C, error = mean.C[w], np.nan_to_num(mean.C_error[w])
+    axes.plot(x, C, line, color=shades(omega), lw=1.2, marker=shades.marker(omega), ms=3.5, markevery=0.1)
+    axes.fill_between(x, C - error, C + error, color=shades(omega), alpha=0.15, lw=0)
 
 
 def _note_lengths(page: Page, mean: CorrelationLength, what: str) -> None:
@@ -99,34 +110,33 @@ def _draw_stokes(
     axes: Axes, groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength], shown: float
 ) -> None:
     """Draw C under Stokes drag at one pressure, for every second frequency."""
-    from matplotlib import colormaps
-
     p = min(groups, key=lambda p: abs(np.log(p / shown)))
-    mean, L = lengths[p], lengths[p].L
+    mean = lengths[p]
+    shades = Shades("omega", mean.omega[::2].tolist())
     for w in range(0, len(mean.omega), 2):
-        colour = colormaps["viridis"](0.9 * w / len(mean.omega))
-        label = rf"$\omega\tau_1$ = {mean.omega[w]:.0e}"
-        axes.plot(mean.delta / L, mean.C[w], color=colour, lw=1.2, label=label)
+        _draw_band(axes, mean, w, "-", shades)
+    shades.show(axes)
     axes.axhline(0, color="0.6", lw=0.8)
     axes.set(xlabel=r"$\delta/L$", ylabel="$C$", ylim=(-1, 1.02))
     particles = groups[p][0].origin.particles
-    axes.set_title(f"(b) Stokes drag, p = {p:.2g}, N = {particles} ({len(groups[p])} packings)", fontsize=10)
-    axes.legend(frameon=False, fontsize=7)
+    axes.set_title(f"(b) Stokes drag, p = {p:.2g}, N = {particles} ({len(groups[p])} packings)")
+    axes.legend()
 
 
 def _draw_lengths(
     page: Page, panels: Sequence[Axes], groups: Mapping[float, list[Any]], lengths: Mapping[float, CorrelationLength]
 ) -> None:
     """Draw the length against the frequency for every pressure, raw and rescaled; note the best rescaling."""
-    colour = coloured(list(groups))
+    shades = Shades("pressure", groups)
     curves: list[Curve] = []
     for p, mean in lengths.items():
-        label = f"p = {p:.2g} ({len(groups[p])})"
-        panels[0].errorbar(mean.omega, mean.length, mean.error, fmt="o-", ms=4, lw=0.8, color=colour(p), label=label)
+        label = f"{setting('pressure', p)} ({len(groups[p])})"
+        look = shades.look(p)
+        panels[0].errorbar(mean.omega, mean.length, mean.error, ms=4, lw=0.8, label=label, **look)
         panels[0].axhline(mean.L / 4, color="0.6", lw=0.8, ls="--")
         grows = (mean.length < 0.7 * mean.length[0]) & (mean.omega < 0.02)
         x, y = log_corrected(p=p)
-        panels[1].loglog(mean.omega[grows] * x, mean.length[grows] * y, "o", ms=4, color=colour(p))
+        panels[1].loglog(mean.omega[grows] * x, mean.length[grows] * y, ls="", ms=4, **look)
         plateau, error = mean.length[0] / mean.L, mean.error[0] / mean.L
         name = f"Stokes drag, p = {p:.2g}: plateau l/L at the lowest ω"
         page.findings.append(Finding(name, plateau, error, "about 1/4"))
@@ -136,11 +146,11 @@ def _draw_lengths(
             curves.append(Curve(mean.omega[grows], own, {"p": p}))
     if len(curves) > 1:
         _note_collapse(page, curves)
-    panels[0].set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel="$l$  (units of $d$)")
-    panels[0].set_title("(c) length where C crosses zero; dashed: L/4", fontsize=10)
-    panels[0].legend(frameon=False, fontsize=8)
-    panels[1].set(xlabel=r"$\omega\tau_1/p^{1/2}$", ylabel=r"$l\,(-\ln p)^{-0.65}$")
-    panels[1].set_title(r"(d) collapse below 0.7 of the plateau, $\omega\tau_1$ < 0.02", fontsize=10)
+    panels[0].set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel="$l$  ($d$)")
+    panels[0].set_title("(c) length where C crosses zero; dashed: L/4")
+    panels[0].legend()
+    panels[1].set(xlabel=r"$\omega\tau_1/p^{1/2}$  ($k^{-1/2}$)", ylabel=r"$l\,(-\ln p)^{-0.65}$  ($d$)")
+    panels[1].set_title(r"(d) collapse below 0.7 of the plateau, $\omega\tau_1$ < 0.02")
 
 
 def _note_collapse(page: Page, curves: list[Curve]) -> None:

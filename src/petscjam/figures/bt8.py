@@ -16,7 +16,8 @@ from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import given, save
+from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, given, law_text
 from petscjam.rows.damping import ContactDamping, DampingLaw, StokesDrag
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ EXPONENTS = {ContactDamping(): 1.0, StokesDrag(): 1.09}  # the exponent a of the
 LOW = 1e-3  # pressure below which corrections to scaling are smaller
 BULK = 100.0  # pN² above which the number of disks should not matter
 LARGE = 50.0  # smallest pN² for the fit of η0 against N
-MARKERS = "osD^vP*X"
 
 
 def draw(data: FigureData) -> None:
@@ -51,16 +51,17 @@ def _draw(page: Page, results: Mapping[str, Viscosity], picture: Path) -> None:
             _find(page, curves, law, a, prestress)
             if not prestress:
                 _intensive(page, curves, law)
-            for k, (n, groups) in enumerate(curves.items()):
+            shades = Shades("particles", curves)
+            for n, groups in curves.items():
                 p = np.array(list(groups))
                 y, error = np.array(means(groups.values())) / n**a
-                face, label = f"C{k}" if prestress else "white", f"N = {n}, {given(prestress)}"
-                axes.errorbar(p * n**2, y, error, fmt=MARKERS[k], color=f"C{k}", ms=5, mfc=face, label=label)
+                face, label = shades(n) if prestress else "white", f"N = {n}, {given(prestress)}"
+                axes.errorbar(p * n**2, y, error, ls="", ms=5, mfc=face, label=label, **shades.look(n))
         x = np.array([1e2, 1e5])
         axes.plot(x, 1.2 * x ** (-a / 2), "k--", lw=1, label=f"slope −a/2, a = {a:g}")
-        axes.set(xscale="log", yscale="log", xlabel="$pN^2$", ylabel=rf"$\eta_0/N^a$, a = {a:g}")
-        axes.set_title(str(law), fontsize=10)
-        axes.legend(frameon=False, fontsize=7, ncols=2)
+        axes.set(xscale="log", yscale="log", xlabel="$pN^2$  ($k$)", ylabel=rf"$\eta_0/N^a$, a = {a:g}  ($k\tau_1$)")
+        axes.set_title(law_text(law))
+        axes.legend(ncols=2)
     save(figure, picture)
 
 

@@ -14,7 +14,7 @@ from petscjam.figures.parameters import Parameters
 from petscjam.io.jobs import Analysis, Ensemble, analyse
 from petscjam.io.results import read_results
 from petscjam.parallel.comm import Comm, on_root
-from petscjam.plots.figure import given
+from petscjam.plots.legends import given
 from petscjam.preparation.library import prepare_library, read_library
 from petscjam.rows.damping import DampingLaw
 

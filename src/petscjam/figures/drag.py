@@ -20,14 +20,12 @@ from petscjam.figures.page import Page
 from petscjam.figures.panels import guide
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 from petscjam.rows.damping import ContactDamping
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from petscjam.plots.figure import Colour, Colours
 
 AFFINE = 0.05  # ωτα above which the response is not critical
 
@@ -57,40 +55,43 @@ def _draw(page: Page, linear: Mapping[str, Any], contacts: Mapping[float, Any], 
             p: [equivalent_drag(g.model, first.omega, first.stress, alpha) for g in some]
             for p, some in by_pressure(linear.values()).items()
         }
-        colour = coloured(list(groups))
+        shades = Shades("pressure", groups)
         for form, found in (("one time", uniform), ("per contact", groups)):
             for p, some in found.items():
-                _draw_mean(row[0], some, colour(p), form, f"p = {p:.2g} ({len(some)})")
+                _draw_mean(row[0], some, form, p, shades)
             note_exponents(page, alpha, form, found)
-        _draw_ratio(row[1], uniform, groups, colour)
+        _draw_ratio(row[1], uniform, groups, shades)
         low, height = first.omega.min(), abs(uniform[max(uniform)][0].values.imag).min()
         guide(row[0], (3 * low, 300 * low), float(height), alpha, f"slope {alpha:.2g}")
         guide(row[0], (1e-3, 1e-1), 3e-3, alpha / 2, f"slope {alpha / 2:.2g}")
-        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  (units of $k$)")
+        row[0].set(xlabel=r"$\omega\tau_1$", ylabel=r"$G'$ (●), $G''$ (○)  ($k$)")
         what = rf"α = {alpha:.3g}, $\delta\sigma$ = {first.stress:.0e}, without pre-stress"
-        row[0].set_title(f"{what}; symbols: per contact, lines: one time", fontsize=10)
-        row[0].legend(frameon=False, fontsize=8)
+        row[0].set_title(f"{what}; symbols: per contact, lines: one time")
+        row[0].legend()
     save(figure, picture)
 
 
-def _draw_mean(axes: Axes, some: list[NonlinearModulus], colour: Colour, form: str, label: str) -> None:
+def _draw_mean(axes: Axes, some: list[NonlinearModulus], form: str, p: float, shades: Shades) -> None:
     omega, mean = some[0].omega, np.mean([g.values for g in some], axis=0)
+    colour, label = shades(p), f"{setting('pressure', p)} ({len(some)})"
     for part, face, line in ((mean.real, colour, "-"), (mean.imag, "white", "--")):
         if form == "per contact":
-            axes.loglog(omega, part, "o", ms=4, color=colour, mfc=face, label=label if face == colour else "")
+            shown = label if face == colour else ""
+            axes.loglog(omega, part, shades.marker(p), ms=4, color=colour, mfc=face, label=shown)
         else:
             axes.loglog(omega, part, line, lw=1.2, color=colour)
 
 
-def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[float, Any], colour: Colours) -> None:
+def _draw_ratio(axes: Axes, uniform: Mapping[float, Any], contacts: Mapping[float, Any], shades: Shades) -> None:
     """Draw the moduli with one time for all contacts, divided by those with a time for each contact."""
     for p, some in contacts.items():
         ours, theirs = (np.mean([g.values for g in found], axis=0) for found in (some, uniform[p]))
-        axes.semilogx(some[0].omega, theirs.real / ours.real, "o-", ms=3, color=colour(p), label=f"p = {p:.2g}")
-        axes.semilogx(some[0].omega, theirs.imag / ours.imag, "o--", ms=3, mfc="white", color=colour(p))
+        look: dict[str, Any] = {"ms": 3, **shades.look(p)}
+        axes.semilogx(some[0].omega, theirs.real / ours.real, "-", label=setting("pressure", p), **look)
+        axes.semilogx(some[0].omega, theirs.imag / ours.imag, "--", mfc="white", **look)
     axes.axhline(1, color="0.6", lw=0.8)
     axes.set(xlabel=r"$\omega\tau_1$", ylabel="one time / per contact: $G'$ (●), $G''$ (○)", yscale="log")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend()
 
 
 def note_exponents(page: Page, alpha: float, form: str, groups: Mapping[float, list[NonlinearModulus]]) -> None:

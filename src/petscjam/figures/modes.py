@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petscjam.analysis.density import density_of_states, plateau
+from petscjam.analysis.density import density_of_states, plateau, smoothed
 from petscjam.analysis.mode_sum import ModeSum, mode_sum, modes_needed
 from petscjam.analysis.nonaffine import MOTIONS
 from petscjam.analysis.statistics import binned_medians, by_pressure, means
@@ -19,14 +19,12 @@ from petscjam.figures.data import FigureData
 from petscjam.figures.page import Page
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 from petscjam.plots.nonaffine import LABELS, STYLES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from petscjam.plots.figure import Colours
 
 WITHIN = 0.1  # relative difference from the median of the direct solve for which modes are sufficient
 
@@ -48,26 +46,27 @@ def _draw(page: Page, modes: Mapping[str, Any], density: Mapping[str, Any], pict
     figure = Figure(figsize=(13, 9), layout="constrained")
     panels = figure.subplot_mosaic([[*MOTIONS], ["needed", "floppiness", "density"]])
     groups = by_pressure(modes.values())
-    colour = coloured(list(groups))
+    shades = Shades("pressure", groups)
     for p, some in groups.items():
         for k, motion in enumerate(MOTIONS):
             count = min(len(r.counts) for r in some)
             share = np.mean([r.counts[:count] / r.modes for r in some], axis=0)
             ratio = np.mean([r.ratios[k, :count] for r in some], axis=0)
-            panels[motion].loglog(share, ratio, color=colour(p), lw=1.2, label=f"p = {p:.2g} ({len(some)})")
+            label = f"{setting('pressure', p)} ({len(some)})"
+            panels[motion].loglog(share, ratio, color=shades(p), lw=1.2, label=label)
         frequency, floppiness = (np.concatenate([getattr(r, x) for r in some]) for x in ("frequencies", "floppiness"))
-        panels["floppiness"].plot(*binned_medians(frequency, floppiness, 39), color=colour(p), lw=1.2)
+        panels["floppiness"].plot(*binned_medians(frequency, floppiness, 39), color=shades(p), lw=1.2)
     for motion in MOTIONS:
         ylabel = f"median of {LABELS[motion]}, over the direct one"
         panels[motion].set(xlabel="share of all modes", ylabel=ylabel)
         panels[motion].axhline(1, color="0.6", lw=0.8)
-    panels["nonaffine"].legend(frameon=False, fontsize=8, loc="lower right")
+    panels["nonaffine"].legend(loc="lower right")
     _draw_needed(page, panels["needed"], groups)
-    _draw_density(page, panels["density"], by_pressure(density.values()), colour)
+    _draw_density(page, panels["density"], by_pressure(density.values()), shades)
     ylabel = r"$(\Sigma\Delta u_\perp^2/\Sigma\Delta u_\parallel^2)^{1/2}$ of a mode"
-    panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\lambda^{1/2}$", ylabel=ylabel)
+    panels["floppiness"].set(xscale="log", yscale="log", xlabel=r"$\sqrt{\lambda}$  ($\sqrt{k/m}$)", ylabel=ylabel)
     particles = {r.origin.particles for r in modes.values()}
-    figure.suptitle(f"N = {', '.join(map(str, particles))}, without pre-stress; (number of packings)", fontsize=11)
+    figure.suptitle(f"N = {', '.join(map(str, particles))}, without pre-stress; (number of packings)")
     save(figure, picture)
 
 
@@ -84,11 +83,11 @@ def _draw_needed(page: Page, axes: Axes, groups: Mapping[float, list[ModeSum]]) 
         mean, error = means(samples)
         axes.errorbar(p[known], mean, error, fmt=marker, color=colour, label=LABELS[motion])
         page.exponent(f"modes needed for the median of {motion} motion ~ p^x", p[known], samples, "—")
-    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=f"modes for a median within {WITHIN:.0%}")
-    axes.legend(frameon=False, fontsize=8)
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$  ($k$)", ylabel=f"modes for a median within {WITHIN:.0%}")
+    axes.legend()
 
 
-def _draw_density(page: Page, axes: Axes, groups: Mapping[float, list[Any]], colour: Colours) -> None:
+def _draw_density(page: Page, axes: Axes, groups: Mapping[float, list[Any]], shades: Shades) -> None:
     """Draw the mean density of states over packings; note its plateau, and the onset ω* of the plateau."""
     found = {p: [plateau(r) for r in some] for p, some in groups.items()}
     known = {p: [x.onset for x in some] for p, some in found.items() if np.isfinite([x.onset for x in some]).all()}
@@ -97,5 +96,7 @@ def _draw_density(page: Page, axes: Axes, groups: Mapping[float, list[Any]], col
         page.mean(f"plateau of D(ω), p = {p:.2g}", [x.height for x in plateaus], "the same for all p")
     for p, some in groups.items():
         omega = np.geomspace(1e-3, min(r.edge for r in some) * 0.999, 400)
-        axes.loglog(omega, np.mean([r.at(omega).density for r in some], axis=0), color=colour(p), lw=1.2)
-    axes.set(xlabel=r"$\omega$, unit masses", ylabel=r"$D(\omega)$", ylim=(1e-2, 2))
+        D, error = smoothed(some, omega)
+        axes.loglog(omega, D, color=shades(p), lw=1.2)
+        axes.fill_between(omega, np.maximum(D - error, 1e-9), D + error, color=shades(p), alpha=0.2, lw=0)
+    axes.set(xlabel=r"$\omega$  ($\sqrt{k/m}$)", ylabel=r"$D(\omega)$  ($\sqrt{m/k}$)", ylim=(1e-2, 2))

@@ -23,8 +23,8 @@ from petscjam.figures.drag import note_exponents
 from petscjam.figures.page import Page
 from petscjam.io.jobs import ModulusAnalysis, PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import pressure_colours as coloured
 from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 from petscjam.rows.damping import ContactDamping
 
 if TYPE_CHECKING:
@@ -84,29 +84,29 @@ def _draw(
 
 def _draw_row(row: Any, alpha: float, direct: Groups, others: Mapping[str, Groups]) -> None:
     whole, against_stress, *ratios = row
-    colour, lowest = coloured(list(direct)), min(direct)
+    shades, lowest = Shades("pressure", direct), min(direct)
     for p, some in direct.items():
         forms = {"direct": some} | {form: groups[p] for form, groups in others.items()}
-        _draw_moduli(whole, _coefficient, forms, colour(p), f"p = {p:.2g} ({len(some)})")
+        _draw_moduli(whole, _coefficient, forms, shades(p), f"{setting('pressure', p)} ({len(some)})")
         for axes, form in zip(ratios, others, strict=True):
-            _draw_ratio(axes, _coefficient(some[0]), some, forms[form], colour(p), f"p = {p:.2g}")
+            _draw_ratio(axes, _coefficient(some[0]), some, forms[form], shades(p), setting("pressure", p))
     stresses = [direct[lowest][0].stress * factor for factor in STRESSES]
-    colour = coloured(stresses)
+    shades = Shades("stress", stresses)
     for stress in stresses:
         forms = {"direct": direct[lowest]} | {form: groups[lowest] for form, groups in others.items()}
         moved = {form: [g.at(stress) for g in some] for form, some in forms.items()}
-        _draw_moduli(against_stress, lambda g: g.omega, moved, colour(stress), rf"$\delta\sigma$ = {stress:.2g}")
-    whole.set_title(f"α = {alpha:.3g}; symbols: direct, −: a time for each contact, − −: one time", fontsize=10)
-    against_stress.set_title(f"p = {lowest:.2g}", fontsize=10)
+        _draw_moduli(against_stress, lambda g: g.omega, moved, shades(stress), setting("stress", stress))
+    whole.set_title(f"α = {alpha:.3g}; symbols: direct, −: a time for each contact, − −: one time")
+    against_stress.set_title(setting("pressure", lowest))
     for axes in (whole, against_stress):
-        axes.set(yscale="log", ylabel="$G'$ (●), $G''$ (○)  (units of $k$)")
+        axes.set(yscale="log", ylabel="$G'$ (●), $G''$ (○)  ($k$)")
     ratios[0].set(yscale="log")
     for axes, form in zip(ratios, others, strict=True):
         axes.set(ylabel=f"{form} / direct: $G'$ (●), $G''$ (○)")
         axes.axhline(1, color="0.6", lw=0.8)
     for axes in row:
         axes.set(xscale="log", xlabel=r"$X=\omega^\alpha\delta\sigma^{\alpha-1}$  ($\tau_1=k=1$)")
-        axes.legend(frameon=False, fontsize=8)
+        axes.legend()
     against_stress.set(xlabel=r"$\omega\tau_1$")
 
 

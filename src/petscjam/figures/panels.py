@@ -18,7 +18,15 @@ if TYPE_CHECKING:
 
 
 def draw_mean(
-    axes: Axes, some: list[Any], colour: Colour, label: str, *, x: float = 1.0, y: float = 1.0, most: float = np.inf
+    axes: Axes,
+    some: list[Any],
+    colour: Colour,
+    label: str,
+    *,
+    marker: str = "o",
+    x: float = 1.0,
+    y: float = 1.0,
+    most: float = np.inf,
 ) -> None:
     """Draw the means of G′ (filled) and G″ (open) over packings, and their standard errors, rescaled.
 
@@ -28,7 +36,7 @@ def draw_mean(
         Of matplotlib.
     some : list of ComplexModulus
         On one grid of frequencies.
-    label : str
+    label, marker : str
     x, y : float
         Factors of ω and of G*.
     most : float
@@ -38,7 +46,7 @@ def draw_mean(
     omega, values = some[0].omega[kept] * x, np.array([g.values for g in some])[:, kept] * y
     for part, face, text in ((values.real, colour, label), (values.imag, "white", "")):
         mean, error = part.mean(0), np.nan_to_num(standard_error(part))
-        axes.loglog(omega, mean, "o-", ms=3, lw=0.8, color=colour, mfc=face, label=text)
+        axes.loglog(omega, mean, f"{marker}-", ms=3, lw=0.8, color=colour, mfc=face, label=text)
         low = np.maximum(mean - error, 1e-3 * mean)
         axes.fill_between(omega, low, mean + error, color=colour, alpha=0.2, lw=0)
 

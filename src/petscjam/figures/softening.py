@@ -14,7 +14,8 @@ from petscjam.figures.page import Page
 from petscjam.figures.panels import guide
 from petscjam.io.jobs import PackingAnalysis
 from petscjam.parallel.comm import on_root
-from petscjam.plots.figure import pressure_colours, save
+from petscjam.plots.figure import save
+from petscjam.plots.legends import Shades, setting
 
 
 def draw(data: FigureData) -> None:
@@ -35,16 +36,17 @@ def _draw(page: Page, paths: Mapping[str, ShearPath], parts: list[float], pictur
     figure = Figure(figsize=(11.5, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     groups = by_pressure(paths.values())
-    colours = pressure_colours(list(groups))
+    shades = Shades("pressure", groups)
     for pressure, some in groups.items():
         ends = min(float(np.abs(path.gamma[-1])) for path in some)
         grid = np.linspace(0, ends, 101)[1:]
         ratios = np.array([np.interp(grid, np.abs(path.gamma), path.secant / path.G0) for path in some])
         middle, error = np.median(ratios, axis=0), np.nan_to_num(standard_error(ratios))
-        left.semilogx(grid / pressure, middle, "-", color=colours(pressure), label=f"p = {pressure:.2g} ({len(some)})")
-        left.fill_between(grid / pressure, middle - error, middle + error, color=colours(pressure), alpha=0.2, lw=0)
-    left.set(xlabel=r"$\gamma/p$", ylabel=r"$[\sigma(\gamma)-\sigma(0)]/(\gamma G_0)$, median", ylim=(0, 2))
-    left.legend(frameon=False, fontsize=8)
+        look = {"markevery": 20, "ms": 4, **shades.look(pressure)}
+        left.semilogx(grid / pressure, middle, "-", label=f"{setting('pressure', pressure)} ({len(some)})", **look)
+        left.fill_between(grid / pressure, middle - error, middle + error, color=shades(pressure), alpha=0.2, lw=0)
+    left.set(xlabel=r"$\gamma/p$  ($1/k$)", ylabel=r"$[\sigma(\gamma)-\sigma(0)]/(\gamma G_0)$, median", ylim=(0, 2))
+    left.legend()
     pressures = list(groups)
     for part, marker in zip(parts, "os^D", strict=False):
         onsets = [np.array([path.onset(part) for path in some]) for some in groups.values()]
@@ -64,6 +66,7 @@ def _draw(page: Page, paths: Mapping[str, ShearPath], parts: list[float], pictur
         if fit is not None:
             right.plot(x, fit.prefactor * x**fit.exponent, "-", lw=0.8, color="0.5")
     guide(right, (min(pressures), max(pressures)), min(pressures), 1, "p")
-    right.set(xscale="log", yscale="log", xlabel="pressure $p$ (k)", ylabel=r"$\gamma^\dagger$, median over packings")
-    right.legend(frameon=False, fontsize=8)
+    right.set(xscale="log", yscale="log", xlabel="pressure $p$  ($k$)")
+    right.set_ylabel(r"$\gamma^\dagger$, median over packings")
+    right.legend()
     save(figure, picture)

@@ -21,7 +21,9 @@ from petscjam.figures.flows import Drawing, Flows, Search, bisection
 from petscjam.md.engine import BINS
 from petscjam.md.grid import Point, grid
 from petscjam.md.result import Mean, Run
-from petscjam.plots.figure import place_colour, save
+from petscjam.plots.figure import PALETTE, save
+from petscjam.plots.legends import Shades, setting
+from petscjam.plots.shear import VELOCITIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,9 +67,9 @@ class Quantity:
         return Mean(value * self.factor(points[0]), error * self.factor(points[0]))
 
 
-P_EL = Quantity(r"$P^{\rm el}$", "P_el", "pressure_elastic")
-ETA_P = Quantity(r"$\eta_p^{\rm el}$", "ηp_el", "pressure_elastic", lambda p: p.Q / p.rate)
-B_P = Quantity(r"$B_p^{\rm el}$", "Bp_el", "pressure_elastic", lambda p: p.rate**-2)
+P_EL = Quantity(r"$P^{\rm el}$  ($m/\tau_e^2$)", "P_el", "pressure_elastic")
+ETA_P = Quantity(r"$\eta_p^{\rm el}$  ($m/\tau_e^2$)", "ηp_el", "pressure_elastic", lambda p: p.Q / p.rate)
+B_P = Quantity(r"$B_p^{\rm el}$  ($m/\tau_e^2$)", "Bp_el", "pressure_elastic", lambda p: p.rate**-2)
 Z = Quantity("$Z$", "Z", "contacts")
 PRODUCT = Quantity(r"$2\tau_{\rm dur}\nu_{\rm coll}$", "2τdurνcoll", "product")
 DURATION = Quantity(r"$\tau_{\rm dur}/\tau_e$", "τdur/τe", "duration_time")
@@ -187,17 +189,17 @@ def draw_lines(
     filled : bool
         Symbols, and labels in the legend.
     """
-    values = sorted({getattr(p, key) for p in points})
-    for value in values:
-        colour = place_colour(values, value)
+    shades = Shades(key, [getattr(p, key) for p in points])
+    for value in shades.values:
+        colour, fmt = shades(value), f"{shades.marker(value)}-"
         xs = sorted({getattr(p, x) for p in points if getattr(p, key) == value})
         found = [
             quantity.of([p for p in points if getattr(p, key) == value and getattr(p, x) == one], runs) for one in xs
         ]
         y, error = np.array(found).T
         label = LABELS[key].format(value)
-        style: dict[str, Any] = {"fmt": "o-", "ms": 4, "lw": 0.8, "color": colour, "mfc": colour if filled else "white"}
-        axes.errorbar(xs, y, np.minimum(error, 0.9 * np.abs(y)), label=label if filled else None, **style)
+        style: dict[str, Any] = {"fmt": fmt, "ms": 4, "lw": 0.8, "color": colour, "mfc": colour if filled else "white"}
+        axes.errorbar(xs, y, np.minimum(error, 0.9 * np.abs(y)), label=setting(key, value) if filled else None, **style)
         for one, mean_, deviation in zip(xs, y, error, strict=True):
             name = ", ".join(part for part in (quantity.name, note, label) if part)
             data.page.number(name, one, mean_, deviation)
@@ -230,7 +232,7 @@ def finish(flows: Flows, figure: Figure, panels: Any) -> None:
         handles, labels = axes.get_legend_handles_labels()
         if labels:
             shown = dict(zip(labels, handles, strict=True))
-            axes.legend(shown.values(), shown, frameon=False, fontsize=7)
+            axes.legend(shown.values(), shown)
     flows.data.page.tallies.append(flows.tally)
     save(figure, flows.data.picture)
 
@@ -250,7 +252,7 @@ def against_Q(scan: Scan, quantity: Quantity) -> Drawing:
     draw_lines(scan.data, axes, scan.points(), scan.runs, quantity, "Q", "phi")
     axes.set(xscale="log", yscale="log")
     for phi, Qc in scan.located(shares).items():
-        axes.axvline(Qc.value, ls="--", lw=0.8, color=place_colour(scan.phis, phi), zorder=0)
+        axes.axvline(Qc.value, ls="--", lw=0.8, color=Shades("phi", scan.phis)(phi), zorder=0)
         scan.data.page.found(f"{scan.transition(phi)} at φ = {phi:g}", *Qc, "")
     finish(scan.flows, figure, panels)
 
@@ -380,11 +382,12 @@ def collision_angles(scan: Scan) -> Drawing:
             for name, style in (("making", "-"), ("breaking", "--")):
                 counts = np.sum([run.blocks[name].sum(0) for run in some], axis=0)
                 density = counts / max(counts.sum(), 1) * BINS / 360
-                axes.plot(angle, density, style, color=f"C{k}", label=f"Q = {Q:.3g}, {name}")
+                axes.plot(angle, density, style, color=PALETTE[k], label=f"Q = {Q:.3g}, {name}")
                 for at, value in zip(angle, density, strict=True):
                     error = float(np.sqrt(value * BINS / 360 / max(counts.sum(), 1)))
                     scan.data.page.number(f"P(ϑ) at {name}, φ = {phi:g}, Q = {Q:g}", at, value, error)
-        axes.set(xlabel="ϑ (degrees)", ylabel="P(ϑ) per degree", yscale="log", title=f"φ = {phi:g}, Qc = {middle:.3g}")
+        axes.set(xlabel=r"collision angle $\vartheta$  (degrees)", ylabel=r"$P(\vartheta)$  (1/degree)", yscale="log")
+        axes.set_title(f"φ = {phi:g}, Qc = {middle:.3g}")
     finish(scan.flows, figure, panels)
 
 
@@ -407,7 +410,8 @@ def tangential_collisions(scan: Scan) -> Drawing:
                 scan.data.page.number(f"P(90°) at {name}, φ = {phi:g}", Q, *values[-1])
             y, error_ = np.array(values).T
             axes.errorbar(scan.Qs, y, np.nan_to_num(error_), fmt=symbol, ms=4, lw=0.8, label=name)
-        axes.set(xscale="log", yscale="log", xlabel="$Q$", ylabel="P(ϑ = 90°) per degree", title=f"φ = {phi:g}")
+        axes.set(xscale="log", yscale="log", xlabel="$Q$", title=f"φ = {phi:g}")
+        axes.set_ylabel(r"$P(\vartheta = 90°)$  (1/degree)")
     finish(scan.flows, figure, panels)
 
 
@@ -459,7 +463,7 @@ def contact_velocities(scan: Scan) -> Drawing:
     points = scan.points(scan.details, Q)
     scan.flows.make(points)
     yield
-    names, words = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$"), ("V_T", "V^R", "V^C_T", "V_N")
+    words = "V_T", "V^R", "V^C_T", "V_N"
     figure, panels = canvas(3, len(scan.details))
     for phi, column in zip(sorted(scan.details), panels.T, strict=True):
         some = [scan.runs[p] for p in points if p.phi == phi]
@@ -471,7 +475,7 @@ def contact_velocities(scan: Scan) -> Drawing:
             for length, way in zip(*np.linalg.eigh(covariance[np.ix_([a, b], [a, b])]), strict=True):
                 axes.plot(*(centre[[a, b], None] + np.outer(way, [-3, 3]) * np.sqrt(max(length, 0))), "k:", lw=1)
             axes.plot(*centre[[a, b]], "wo", mec="k", ms=6)
-            axes.set(xlabel=names[a], ylabel=names[b], title=f"φ = {phi:g}, Q = {Q[0]:g}")
+            axes.set(xlabel=VELOCITIES[a], ylabel=VELOCITIES[b], title=f"φ = {phi:g}, Q = {Q[0]:g}")
             correlations = [c[a, b] / np.sqrt(c[a, a] * c[b, b]) for _, c in each]
             scan.data.page.mean(f"correlation of {words[b]} and {words[a]}, φ = {phi:g}", correlations, "")
     finish(scan.flows, figure, panels)
@@ -499,7 +503,8 @@ def differences_Q(scan: Scan) -> Drawing:
         found = onset(x[::-1], values[:, ::-1])
         _note(scan, f"{scan.transition(phi)} at φ = {phi:g} from Z/γ̇", found, "")
         axes.axvline(found.value, color="0.7", lw=0.8)
-        axes.set(xlabel="$Q$", ylabel=r"$Z/\dot\gamma_1 - Z/\dot\gamma_2$", xscale="log", title=f"φ = {phi:g}")
+        axes.set(xlabel="$Q$", xscale="log", title=f"φ = {phi:g}")
+        axes.set_ylabel(r"$Z/\dot\gamma_1 - Z/\dot\gamma_2$  ($\tau_e$)")
     finish(scan.flows, figure, panels)
 
 
@@ -516,7 +521,7 @@ def differences_phi(scan: Scan) -> Drawing:
         found = onset(x, values)
         _note(scan, f"φc at Q = {Q:g} from Bp_el", found, "0.80" if Q == 1 else "")
         axes.axvline(found.value, color="0.7", lw=0.8)
-        axes.set(xlabel=r"$\phi$", ylabel=r"$B^{\rm el}_{p1} - B^{\rm el}_{p2}$", title=f"Q = {Q:g}")
+        axes.set(xlabel=r"$\phi$", ylabel=r"$B^{\rm el}_{p1} - B^{\rm el}_{p2}$  ($m/\tau_e^2$)", title=f"Q = {Q:g}")
     finish(scan.flows, figure, panels)
 
 
@@ -546,7 +551,7 @@ def phase_diagram_CD_rot(scan: Scan) -> Drawing:
     figure, panels = canvas(1, 1)
     axes = panels[0, 0]
     located = scan.located(shares)
-    for name, colour in (("Qc", "k"), ("Q*", "C1")):
+    for name, colour in (("Qc", "k"), ("Q*", PALETTE[1])):
         some = {phi: Q for phi, Q in located.items() if scan.transition(phi) == name}
         _draw_transition(scan, axes, some, name, colour)
     for phi in scan.details:
@@ -555,11 +560,12 @@ def phase_diagram_CD_rot(scan: Scan) -> Drawing:
         found = onset(x[::-1], values[:, ::-1])
         name = f"{scan.transition(phi)} from Z/γ̇ at two rates"
         _note(scan, f"{name}, φ = {phi:g}", found, "")
-        axes.errorbar([phi], [found.value], [np.nan_to_num(found.error)], fmt="s", color="C0", label="Z/γ̇ at two rates")
+        error, label = [np.nan_to_num(found.error)], "Z/γ̇ at two rates"
+        axes.errorbar([phi], [found.value], error, fmt="s", color=PALETTE[0], label=label)
     for Q in Qs:
         found = onset(*scan.differences("phi", [p for p in by_phi if p.Q == Q], B_P))
         _note(scan, f"φc at Q = {Q:g}", found, "0.80" if Q == 1 else "")
-        axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color="C2", label="φc")
+        axes.errorbar([found.value], [Q], xerr=[np.nan_to_num(found.error)], fmt="^", color=PALETTE[2], label="φc")
     axes.axvline(JAMMING, ls="--", color="0.5", lw=0.8)
     axes.set(xlabel=AXES["phi"], ylabel=AXES["Q"], yscale="log")
     finish(scan.flows, figure, panels)

@@ -16,6 +16,7 @@ from petscjam.md.banding import Bands
 from petscjam.md.fields import local_maps, profile
 from petscjam.md.grid import Point
 from petscjam.md.result import blocked_error
+from petscjam.plots.figure import LOSS
 from petscjam.plots.shear import draw_profiles, plot_maps
 
 LAYERS = 20  # of the table of a map
@@ -140,7 +141,7 @@ def friction(scan: Large) -> Drawing:
         page.found(f"μ at {at}", *measured, scan.paper("0.346"))
         page.number("μ of the runs of fig. 28 against φ", phi, *measured)
         for axes, x in zip(panels[0], (phi, point.rate), strict=True):
-            axes.errorbar(x, *measured, fmt="*", ms=10, color="C3", label="runs of fig. 28")
+            axes.errorbar(x, *measured, fmt="*", ms=10, color=LOSS, label="runs of fig. 28")
         try:
             found = lever_rule(coexisting(run))
         except InputError as problem:

@@ -11,6 +11,7 @@ from petscjam.analysis.transitions import JAMMING, Located
 from petscjam.figures.flows import Drawing
 from petscjam.figures.large import MISSING, SIDES, Edge, Large, half
 from petscjam.figures.vot import AXES, P_EL, Quantity, canvas, draw_lines, finish
+from petscjam.plots.figure import LOSS, STORAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,12 +20,12 @@ MU = Quantity(r"$\mu = \Sigma/P$", "μ", "friction")
 RV = Quantity(r"$R_v$", "Rv", "banding")
 QUANTITIES = {"P_el": P_EL, "μ": MU, "Rv": RV}
 MARKERS = {"P_el": "s", "μ": "o", "Rv": "D", "bands": "*"}
-COLOURS = {"B": "C0", "N": "C3"}
+COLOURS = {"B": STORAGE, "N": LOSS}
 PLANES = {  # axes of a diagram: labels, by name of the attribute of an edge
     "phi": AXES["phi"],
     "rate": AXES["rate"],
-    "pressure": r"$P$",
-    "stress": r"$\Sigma$",
+    "pressure": r"$P$  ($m/\tau_e^2$)",
+    "stress": r"$\Sigma$  ($m/\tau_e^2$)",
 }
 SYMBOLS = {"phi": "φ", "rate": "γ̇", "pressure": "P", "stress": "Σ"}
 STARTS = "filled: random start, open: two-phase start"

@@ -17,13 +17,14 @@ from petscjam.figures.vot import AXES, Quantity, canvas, draw_lines, finish
 from petscjam.figures.vot_diagrams import STARTS
 from petscjam.md.grid import Point
 from petscjam.md.result import Run
-from petscjam.plots.figure import MARKERS
+from petscjam.plots.figure import PALETTE
+from petscjam.plots.legends import MARKERS
 from petscjam.plots.shear import draw_slopes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STRESS = Quantity(r"$\Sigma$", "Σ", "stress")
+STRESS = Quantity(r"$\Sigma$  ($m/\tau_e^2$)", "Σ", "stress")
 ROW_TIME, FINEST = 1e3, 0.01  # of a row: τe (VOT sec. III D), and decades of γ̇ at most
 WINDOW = 0.1  # decades of γ̇ in which Σ of a ramp is averaged
 
@@ -95,7 +96,8 @@ def ramps(scan: Large) -> Drawing:
         np.moveaxis(np.array(found), 0, -1), ("width, decades", "area, decades²"), strict=True
     ):
         panels[0, -1].errorbar(kappas, y, np.nan_to_num(error), fmt="o-", label=label)
-    panels[0, -1].set(xscale="log", xlabel=r"$\tilde\kappa$", ylabel="hysteresis")
+    panels[0, -1].set(xscale="log", xlabel=r"$\tilde\kappa$  (decades/$\tau_e$)")
+    panels[0, -1].set_ylabel("hysteresis  (decades, decades²)")
     finish(scan.flows, figure, panels)
 
 
@@ -106,9 +108,9 @@ def _draw_ramps(scan: Large, axes: Axes, kappa: float, runs: Sequence[Run]) -> l
     for k, run in enumerate(runs):
         half, marker = int(run.rate.argmax()) + 1, MARKERS[k % len(MARKERS)]
         ways = [(run.rate[some], run.stress[some]) for some in (slice(0, half), slice(half, None))]
-        for name, (rate, stress), face in zip(("up", "down"), ways, (f"C{k}", "white"), strict=True):
+        for name, (rate, stress), face in zip(("up", "down"), ways, (PALETTE[k % len(PALETTE)], "white"), strict=True):
             good = stress > 0
-            axes.loglog(rate[good], stress[good], marker, ms=4, mew=0.7, color=f"C{k}", mfc=face)
+            axes.loglog(rate[good], stress[good], marker, ms=4, mew=0.7, color=PALETTE[k % len(PALETTE)], mfc=face)
             for at, value in zip(rate, stress, strict=True):
                 scan.data.page.number(f"Σ, {name}, κ̃ = {kappa:g}, start {k + 1}", float(at), float(value), np.nan)
         numbers.append([jump(*way, rows) for way in ways])

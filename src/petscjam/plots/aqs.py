@@ -9,6 +9,7 @@ import numpy as np
 
 from petscjam.analysis.aqs import ShearPath
 from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE
+from petscjam.plots.legends import Families, heading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,11 +24,11 @@ def path_figure(results: Mapping[str, ShearPath]) -> Figure:
 
     figure = Figure(figsize=(7.2, 7.6), layout="constrained")
     panels = figure.subplots(3, sharex=True, height_ratios=(2, 1, 1))
-    few = len(results) <= MOST
-    colours = [f"C{k}" for k in range(len(results))] if 1 < len(results) <= MOST else ["0.3"] * len(results)
-    for (name, path), colour in zip(results.items(), colours, strict=True):
-        for axes, y in zip(panels, (path.stress, path.Z, path.eigenvalue), strict=True):
-            axes.plot(path.gamma, y, color=colour, lw=1 if few else 0.5, label=name if few else None)
+    few, families = len(results) <= MOST, Families(results)
+    for family in families.members:
+        for path in family.results.values():
+            for axes, y in zip(panels, (path.stress, path.Z, path.eigenvalue), strict=True):
+                axes.plot(path.gamma, y, color=family.colour, lw=1 if few else 0.5)
     for kind, (mark, colour) in MARKS.items() if few else ():
         at = [
             (path.gamma[k], path.stress[k])
@@ -38,7 +39,7 @@ def path_figure(results: Mapping[str, ShearPath]) -> Figure:
         if at:
             label = kind if kind == "instability" else f"contacts {kind}"
             panels[0].plot(*np.transpose(at), mark, color=colour, ms=5, mfc="none", label=label)
-    labels = r"stress $\sigma_{xy}$  ($k$)", "contacts $Z$", "lowest eigenvalue  ($k$)"
+    labels = r"stress $\sigma_{xy}$  ($k$)", "contacts $Z$", r"lowest eigenvalue $\lambda$  ($k$)"
     for axes, label in zip(panels, labels, strict=True):
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
@@ -46,7 +47,6 @@ def path_figure(results: Mapping[str, ShearPath]) -> Figure:
     events = sum(len(path.events) for path in results.values())
     unstable = sum(int((~path.reversible).sum()) for path in results.values())
     title = f"{len(results)} path{'s' * (len(results) != 1)}, {events} events, {unstable} instabilities"
-    panels[0].set_title(title, fontsize=10)
-    if few:
-        panels[0].legend(frameon=False, fontsize=8)
+    panels[0].set_title(f"{title}: {heading(results)}")
+    families.show(panels[0])
     return figure

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petscjam.analysis.correlations import Correlations, correlation_length
-from petscjam.analysis.statistics import Kind, alike
-from petscjam.plots.figure import given, solids
+from petscjam.plots.figure import solids
+from petscjam.plots.legends import Families, Family, Shades, heading, law_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,58 +29,49 @@ def correlations_figure(results: Mapping[str, Correlations]) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    kept, title = solids(results)
-    kinds = alike(kept)
-    first = {kind.law: (kind, some) for kind, some in reversed(kinds.items())}
-    figure = Figure(figsize=(4.6 * len(first) + 5.8, 4.6), layout="constrained")
-    panels = figure.subplots(1, 1 + len(first), width_ratios=[4.6] * len(first) + [5.8])
-    for axes, (kind, some) in zip(panels, reversed(first.values()), strict=False):
-        _draw_curves(axes, some)
-        what = f"N = {kind.particles}, p = {kind.pressure:g}, {len(some)} packings"
-        axes.set_title(f"{kind.law}, {given(kind.prestress)}\n{what}", fontsize=9)
-    _draw_lengths(panels[-1], kinds)
-    figure.suptitle(title, fontsize=10)
+    kept, note = solids(results)
+    families = Families(kept, grid=lambda r: r.omega.tolist())
+    first: dict[str, Family[Correlations]] = {}
+    for family in families.members:
+        first.setdefault(law_text(next(iter(family.results.values())).damping), family)
+    figure = Figure(figsize=(4.8 * len(first) + 5.8, 4.6), layout="constrained")
+    panels = figure.subplots(1, 1 + len(first), width_ratios=[4.8] * len(first) + [5.8])
+    for axes, family in zip(panels, first.values(), strict=False):
+        _draw_curves(axes, family.results)
+        axes.set_title(heading(family.results) if len(families.members) > 1 else "")
+    _draw_lengths(panels[-1], families)
+    figure.suptitle(heading(kept) + note)
     return figure
 
 
 def _draw_curves(axes: Axes, some: Mapping[str, Correlations]) -> None:
-    """Draw the mean of C at evenly spaced frequencies of the result, from the lowest (dark) on."""
-    from matplotlib import colormaps
-
+    """Draw the mean of C ± its standard error at evenly spaced frequencies of the result, from the lowest (dark) on."""
+    omega = np.sort(next(iter(some.values())).omega)
+    shown = omega[np.unique(np.linspace(0, len(omega) - 1, CURVES).round().astype(int))].tolist()
+    shades = Shades("omega", shown)
     for part, style in (("real", "-"), ("imaginary", "--")):
         mean = correlation_length(some, part, unstable=True)
-        rising = np.argsort(mean.omega)
-        shown = rising[np.unique(np.linspace(0, len(rising) - 1, CURVES).round().astype(int))]
-        for k, w in enumerate(shown):
-            axes.plot(
-                mean.delta[1:] / mean.L,
-                mean.C[w][1:],
-                style,
-                lw=1.1 if style == "-" else 0.7,
-                color=colormaps["viridis"](0.9 * k / max(len(shown) - 1, 1)),
-                label=f"{mean.omega[w]:.1e}" if style == "-" else None,
-            )
+        x = mean.delta[1:] / mean.L
+        for w in shown:
+            k, colour = int(np.flatnonzero(mean.omega == w)[0]), shades(w)
+            C, error = mean.C[k][1:], np.nan_to_num(mean.C_error[k][1:])
+            face = colour if style == "-" else "white"
+            axes.plot(x, C, style, lw=1.1, color=colour, marker=shades.marker(w), ms=3.5, mfc=face, markevery=0.1)
+            axes.fill_between(x, C - error, C + error, color=colour, alpha=0.15, lw=0)
     axes.axhline(0, color="0.6", lw=0.8, zorder=0)
-    axes.set(xlabel=r"$\delta/L$", ylabel=r"$C$  (solid: peak stress, dashed: zero stress)", xlim=(0, 0.5))
-    axes.legend(title=r"$\omega\tau_1$", frameon=False, fontsize=8)
+    axes.set(xlabel=r"$\delta/L$", ylabel="correlation $C$", xlim=(0, 0.5))
+    for style, text in (("-", "peak stress"), ("--", "zero stress")):
+        axes.plot([], [], style, color="0.3", label=text)
+    shades.show(axes)
 
 
-def _draw_lengths(axes: Axes, kinds: Mapping[Kind, Mapping[str, Correlations]]) -> None:
+def _draw_lengths(axes: Axes, families: Families[Correlations]) -> None:
     """Draw the zero of the mean of C at peak stress, with its error."""
-    for (law, prestress, n, p, _), some in kinds.items():
-        mean = correlation_length(some, unstable=True)
+    for family in families.members:
+        mean = correlation_length(family.results, unstable=True)
         rising = np.argsort(mean.omega)
-        axes.errorbar(
-            mean.omega[rising],
-            mean.length[rising] / mean.L,
-            np.nan_to_num(mean.error[rising]) / mean.L,
-            fmt="o-",
-            ms=4,
-            lw=1,
-            mfc=None if prestress else "white",
-            label=f"{law}, N = {n}, p = {p:g}, {given(prestress)}",
-        )
-    axes.axhline(0.25, color="0.6", ls=":", lw=0.8, zorder=0)
-    axes.set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel=r"$l/L$  (dotted: ¼)")
-    axes.set_ylim(bottom=axes.get_ylim()[0] / 3)  # room for the legend
-    axes.legend(frameon=False, fontsize=7, loc="lower left")
+        y, error = mean.length[rising] / mean.L, np.nan_to_num(mean.error[rising]) / mean.L
+        axes.errorbar(mean.omega[rising], y, error, ms=5, lw=1, capsize=2, **family.look)
+    axes.axhline(0.25, color="0.6", ls=":", lw=0.8, zorder=0, label="¼")
+    axes.set(xscale="log", yscale="log", xlabel=r"$\omega\tau_1$", ylabel="correlation length $l/L$")
+    families.show(axes)

@@ -7,50 +7,55 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from petscjam.analysis.density import DensityOfStates, plateau
-from petscjam.analysis.statistics import nominal
+from petscjam.analysis.density import DensityOfStates, plateau, smoothed
+from petscjam.analysis.statistics import means
+from petscjam.plots.figure import panel
+from petscjam.plots.legends import Families, heading
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def density_figure(results: Mapping[str, DensityOfStates]) -> Figure:
-    """Draw every D(ω) ± its standard error; ω* is marked, and frequencies below the resolution are shaded."""
-    from matplotlib import colormaps
-    from matplotlib.figure import Figure
+def density_figure(results: Mapping[str, DensityOfStates], ax: Axes | None = None) -> Figure:
+    """Draw the mean of D(ω) over the packings of each kind ± its standard error, smooth.
 
-    figure = Figure(figsize=(7.2, 5.2), layout="constrained")
-    axes = figure.subplots()
-    pressure = {name: nominal(d.origin.pressure) for name, d in results.items()}
-    known = sorted(set(pressure.values()), reverse=True)
-    shades = colormaps["viridis"](np.linspace(0, 0.85, len(known)))
+    The onset ω* of the plateau is marked at half of its height, and frequencies below the resolution are shaded.
+
+    Parameters
+    ----------
+    results : mapping of DensityOfStates
+    ax
+        Of matplotlib: draw here.
+    """
+    axes, families = panel(ax), Families(results)
     blind = min(float(d.resolution.max()) for d in results.values())
-    top = max(float(d.density.max()) for d in results.values())
-    labels = set()
-    for name, d in results.items():
-        colour = shades[known.index(pressure[name])]
-        label = f"p = {pressure[name]:.3g}" + ("" if d.prestress else ", no pre-stress")
-        omega = np.geomspace(blind / 3, 0.999 * d.edge, 800)
-        curve, flat = d.at(omega), plateau(d)
-        axes.loglog(
-            omega,
-            curve.density,
-            "-" if d.prestress else "--",
-            color=colour,
-            lw=1.1,
-            label=None if label in labels else label,
-        )
-        labels.add(label)
-        low = np.maximum(curve.density - curve.error, 1e-9 * top)
-        axes.fill_between(omega, low, curve.density + curve.error, color=colour, alpha=0.25, lw=0)
-        axes.plot(flat.onset, flat.height / 2, "o", color=colour, ms=6, mec="white", zorder=3)
-    axes.plot([], [], "o", color="0.4", label=r"$\omega^*$")
-    axes.axvspan(blind / 3, blind, color="0.5", alpha=0.18, lw=0, label="below the resolution")
+    lowest, top = np.inf, 0.0
+    curves = []
+    for family in families.members:
+        some = list(family.results.values())
+        omega = np.geomspace(blind / 3, 0.999 * min(d.edge for d in some), 400)
+        curves.append((family, omega, *smoothed(some, omega)))
+        top = max(top, float(curves[-1][2].max()))
+    for family, omega, D, error in curves:
+        lowest = min(lowest, float(omega[D > 3e-3 * top].min()))
+        axes.loglog(omega, D, lw=1.3, markevery=40, ms=4, **family.look)
+        axes.fill_between(omega, np.maximum(D - error, 1e-9 * top), D + error, color=family.colour, alpha=0.25, lw=0)
+        flats = [plateau(d) for d in family.results.values()]
+        onsets = [flat.onset for flat in flats if np.isfinite(flat.onset)]
+        if onsets:
+            (onset,), (scatter,) = means([onsets])
+            half = float(np.mean([flat.height for flat in flats])) / 2
+            axes.errorbar(onset, half, xerr=np.nan_to_num(scatter), fmt="*", color=family.colour, ms=11, mec="white")
+    axes.plot([], [], "*", color="0.4", ms=9, label=r"onset $\omega^*$ of the plateau")
+    if lowest < blind:
+        axes.axvspan(lowest / 2, blind, color="0.5", alpha=0.18, lw=0, label="below the resolution")
     axes.set(
-        xlim=(blind / 3, None),
+        xlim=(lowest / 1.2, None),
         ylim=(3e-3 * top, 2 * top),
-        xlabel=r"frequency $\omega$, unit masses",
-        ylabel=r"$D(\omega)$",
+        xlabel=r"frequency $\omega = \sqrt{\lambda}$  ($\sqrt{k/m}$)",
+        ylabel=r"density of states $D(\omega)$  ($\sqrt{m/k}$)",
+        title=heading(results),
     )
-    axes.legend(loc="lower right", bbox_to_anchor=(0.88, 0), frameon=False, fontsize=8)
-    return figure
+    families.show(axes)
+    return axes.figure  # type: ignore[return-value]

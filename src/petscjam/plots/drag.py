@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from petscjam.analysis.drag import NonlinearModulus
-from petscjam.plots.figure import UNSTABLE, given
+from petscjam.plots.figure import UNSTABLE, Colour
+from petscjam.plots.legends import Shades, heading, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,40 +24,40 @@ CRITICAL: dict[str, tuple[Callable[[float], float], str]] = {
 
 def drag_figure(results: Mapping[str, NonlinearModulus]) -> Figure:
     """Draw G′, G″ and τ of every result: colours for stress and exponent, dashes for the form."""
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 4.6), layout="constrained")
     panels = figure.subplots(1, 3)
     kinds = sorted({(g.alpha, g.stress) for g in results.values()})
-    shades = colormaps["viridis"](np.linspace(0, 0.85, len(kinds)))
+    places = Shades("kinds", range(len(kinds)))
     for g in results.values():
-        _draw(panels, g, shades[kinds.index((g.alpha, g.stress))])
-    for (alpha, stress), shade in zip(kinds, shades, strict=True):
-        panels[0].plot([], [], color=shade, label=rf"$\delta\sigma$ = {stress:.3g}, $\alpha$ = {alpha:.3g}")
+        k = kinds.index((g.alpha, g.stress))
+        _draw(panels, g, places(k), places.marker(k))
+    for k, (alpha, stress) in enumerate(kinds):
+        label = rf"$\delta\sigma$ = {number(stress)} $k$, $\alpha$ = {number(alpha)}"
+        panels[0].plot([], [], color=places(k), marker=places.marker(k), ms=4, label=label)
     for form in sorted({g.form for g in results.values()}):
         panels[0].plot([], [], STYLE[form], color="0.3", label=form)
     if not all(g.converged.all() for g in results.values()):
         panels[0].plot([], [], "x", color=UNSTABLE, label="not converged")
     for form, alpha in sorted({(g.form, g.alpha) for g in results.values()}):
         _guides(panels[1], [g for g in results.values() if (g.form, g.alpha) == (form, alpha)])
-    panels[0].legend(frameon=False, fontsize=8)
-    for axes, name in zip(panels, (r"$G'$  (units of $k$)", r"$G''$  (units of $k$)", r"$\tau/\tau_1$"), strict=True):
-        axes.set(xlabel=r"angular frequency $\omega\tau_1$", title=name)
-    panels[2].set_title(r"friction time $\tau/\tau_1$; band: spread of $\ln\tau_c$")
-    first = next(iter(results.values()))
-    figure.suptitle(
-        f"{first.origin.particles} disks, p = {first.origin.pressure:.3g}; {first.strain}; {given(first.prestress)}",
-        fontsize=10,
-    )
+    panels[0].legend()
+    labels = r"storage modulus $G'$  ($k$)", r"loss modulus $G''$  ($k$)", r"friction time $\tau/\tau_1$"
+    for axes, label in zip(panels, labels, strict=True):
+        axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=label)
+    if any(g.spread.any() for g in results.values()):
+        panels[2].set_title(r"band: spread of $\ln\tau_c$ over contacts")
+    figure.suptitle(heading(results))
     return figure
 
 
-def _draw(panels: Sequence[Axes], g: NonlinearModulus, shade: Any) -> None:
+def _draw(panels: Sequence[Axes], g: NonlinearModulus, shade: Colour, marker: str) -> None:
     rising = np.argsort(g.omega)
     omega, style = g.omega[rising], STYLE[g.form]
     for axes, values in zip(panels, (g.values.real, g.values.imag, g.tau), strict=True):
-        axes.loglog(omega, np.where(values > 0, values, np.nan)[rising], style, color=shade, lw=1.3)
+        shown = np.where(values > 0, values, np.nan)[rising]
+        axes.loglog(omega, shown, style, color=shade, lw=1.3, marker=marker, ms=4)
         lost = ~g.converged
         axes.loglog(g.omega[lost], values[lost], "x", color=UNSTABLE)
     if g.spread.any():
@@ -74,7 +75,9 @@ def _guides(axes: Axes, alike: list[NonlinearModulus]) -> None:
     middle = int(np.argmin(abs(np.log(abs(g.values.imag / g.values.real)))))
     low = int(np.argmin(g.omega))
     for at, reach, slope, text in ((low, 1e3, g.alpha, r"\alpha"), (middle, 1e2, power(g.alpha), name)):
-        span = g.omega[at] * np.array([1, reach])
+        if at == middle == low and slope != g.alpha:
+            continue
+        span = g.omega[at] * np.array([1, min(reach, g.omega.max() / g.omega[at])])
         guide = above * abs(g.values.imag[at]) * (span / span[0]) ** slope
         axes.loglog(span, guide, STYLE[g.form], color="0.5", lw=1)
         end, shift, side = (1, (-4, 0), "right") if above > 1 else (0, (6, -10), "left")

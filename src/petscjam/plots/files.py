@@ -22,7 +22,7 @@ class Contents(NamedTuple):
     name: str
     read: Callable[..., Any]
     describe: Callable[[Any], str]
-    draw: Callable[[Any, Path], None]
+    draw: Callable[[Any, Path], Any]
 
 
 def _draw_library(library: Library, path: Path) -> None:

@@ -19,14 +19,15 @@ from petscjam.analysis.statistics import means, nominal
 from petscjam.base.errors import InputError
 from petscjam.base.types import Array
 from petscjam.geometry.potential import potential
-from petscjam.plots.figure import UNSTABLE, save
+from petscjam.plots.figure import UNSTABLE, finished, house_style
+from petscjam.plots.legends import MARKERS, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 COLUMNS = ("particles", "pressure", "target", "phi", "Z", "rattlers", "contacts", "lowest_eigenvalue", "proved")
-MARKERS = "osD^vP*X"
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class _Size:
         return means(values[self.sound & (self.target == target)] for target in self.targets)
 
 
-def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -> None:
+@house_style()
+def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str] | None = None) -> Figure:
     """Draw Z − Z_iso and φ − φJ against p, and the distribution of the lowest frequency, of a library.
 
     Large symbols are means over the packings of one N and target pressure, with standard errors; dots are
@@ -73,7 +75,12 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
         One for each packing, with the keys ``particles``, ``pressure``, ``target`` (target pressure, None if
         not known), ``potential``, ``phi``, ``Z``, ``rattlers``, ``contacts`` (within the backbone),
         ``lowest_eigenvalue`` (None or NaN if not known), ``proved`` (None if not judged).
-    path : path
+    path : path, optional
+        Write the figure; its extension gives the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -104,9 +111,9 @@ def plot_library(rows: Sequence[Mapping[str, Any]], path: str | PathLike[str]) -
     _draw_lowest(stack, sizes, colour)
     right.supylabel(r"fraction of packings below $\omega$", fontsize=10)
     if not one:
-        right.colorbar(ScalarMappable(norm, colours), ax=list(stack), label="target pressure", aspect=30)
-    figure.suptitle(_summary(rows) + (f"; target pressure {targets[0]:.3g}" if one else ""), fontsize=11)
-    save(figure, path)
+        right.colorbar(ScalarMappable(norm, colours), ax=list(stack), label="target pressure  ($k$)", aspect=30)
+    figure.suptitle(_summary(rows) + (f"; target pressure {number(targets[0])} $k$" if one else ""))
+    return finished(figure, path)
 
 
 def _sizes(rows: Sequence[Mapping[str, Any]]) -> list[_Size]:
@@ -180,7 +187,7 @@ def _draw_excess(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any],
         )
         top = fit.prefactor * span[1] ** fit.exponent / 3
         _guide(axes, lambda x: top * (x / span[1]) ** (a / 2), f"slope {_fraction(a / 2)}")
-    axes.legend(loc="upper left", frameon=False, fontsize=9)
+    axes.legend(loc="upper left")
 
 
 def _draw_density(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any], a: float) -> None:
@@ -197,7 +204,7 @@ def _draw_density(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any]
     if not fits:
         curves = [(size, size.phi, f"N = {size.particles}") for size in sizes]
         _draw_curves(axes, curves, colour, "", log=False)
-        axes.set(ylabel=r"$\phi$   ($\phi_J$ takes two pressures at one N)")
+        axes.set(ylabel=r"packing fraction $\phi$", title=r"$\phi_J$ takes two pressures at one N")
         return
     _draw_curves(axes, curves, colour, r"below $\phi_J$, no dot")
     axes.set_ylabel(r"$\phi - \phi_J$")
@@ -210,7 +217,7 @@ def _draw_density(axes: Axes, sizes: Sequence[_Size], colour: Callable[..., Any]
     axes.plot([], [], color="0.15", lw=1, label=rf"fits, $\propto {_power(a)}$")
     for size in without:
         axes.plot([], [], " ", label=rf"N = {size.particles} not drawn: fewer than two pressures, no $\phi_J$")
-    axes.legend(loc="upper left", frameon=False, fontsize=9)
+    axes.legend(loc="upper left")
 
 
 def _draw_curves(
@@ -218,7 +225,7 @@ def _draw_curves(
 ) -> None:
     """Draw values of (k,) packings against their pressures, and their means."""
     p = np.concatenate([size.p for size, _, _ in curves])
-    axes.set(xscale="log", xlabel="pressure $p$", xlim=(p.min() / 1.6, p.max() * 1.6))
+    axes.set(xscale="log", xlabel="pressure $p$  ($k$)", xlim=(p.min() / 1.6, p.max() * 1.6))
     if log:
         axes.set_yscale("log", nonpositive="clip")
         axes.set_ylim(_span(curves))
@@ -238,7 +245,7 @@ def _draw_curves(
         axes.plot([], [], "x", color=UNSTABLE, label="not proved")
     if out:
         axes.plot([], [], " ", label=f"{out} {hidden}")
-    axes.legend(loc="upper left", frameon=False, fontsize=9)
+    axes.legend(loc="upper left")
 
 
 def _span(curves: Sequence[tuple[_Size, Array, str]]) -> tuple[float, float]:
@@ -279,7 +286,7 @@ def _draw_lowest(panels: Sequence[Axes], sizes: Sequence[_Size], colour: Callabl
         ):
             title += f", {count} {text}" if count else ""
         axes.set_title(title, loc="left", fontsize=9)
-    panels[-1].set_xlabel(r"lowest frequency $\omega = \lambda^{1/2}$")
+    panels[-1].set_xlabel(r"lowest frequency $\omega = \sqrt{\lambda}$  ($\sqrt{k/m}$)")
 
 
 def _guide(axes: Axes, law: Callable[[Array], Array], text: str) -> None:

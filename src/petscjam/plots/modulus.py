@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from petscjam.analysis.statistics import alike, average
+from petscjam.analysis.statistics import average
 from petscjam.base.errors import InputError, SolverError
-from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, arrows, draw_cell, given, heading
+from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, Colour, arrows, draw_cell, panel, scale_bar
+from petscjam.plots.legends import Families, heading
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
@@ -19,21 +20,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 
-def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
-    """Draw every result of a file, and below the displacement fields of the first result that has them."""
+def moduli_figure(results: Mapping[str, ComplexModulus], ax: Axes | None = None) -> Figure:
+    """Draw every result of a file, and below the displacement fields of the first result that has them.
+
+    Parameters
+    ----------
+    results : mapping of ComplexModulus
+    ax
+        Of matplotlib: draw only the moduli, here.
+    """
     from matplotlib.figure import Figure
 
-    pictured = next((g for g in results.values() if len(g.field_omega)), None)
+    pictured = None if ax else next((g for g in results.values() if len(g.field_omega)), None)
     only = next(iter(results.values())) if len(results) == 1 else None
-    model = only.model if only else None
-    wide = 11.5 if model else 7.2
+    model = only.model if only and not ax else None
+    if not pictured and not model:
+        axes = panel(ax)
+        _draw_moduli(axes, results)
+        return axes.figure  # type: ignore[return-value]
+    wide, tall = 11.5 if model else 7.2, 5.2
     columns = max(3, len(pictured.field_omega)) if pictured else 1
     if pictured:
-        figure = Figure(figsize=(max(3.4 * columns, wide), 5.2 + 6.6), layout="constrained")
-        halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 6.6])
+        figure = Figure(figsize=(max(3.4 * columns, wide), tall + 6.6), layout="constrained")
+        halves: Any = figure.subfigures(2, 1, height_ratios=[tall, 6.6])
         draw_fields(halves[1], pictured)
     else:
-        figure = Figure(figsize=(wide, 5.2), layout="constrained")
+        figure = Figure(figsize=(wide, tall), layout="constrained")
         halves = [figure]
     if model:
         right = ["error"] if model.inertia else ["error", "time"]
@@ -48,39 +60,67 @@ def moduli_figure(results: Mapping[str, ComplexModulus]) -> Figure:
 
 
 def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
-    one = len(results) == 1
-    for g in results.values():
-        rising = np.argsort(g.omega)
-        omega, G = g.omega[rising], g.values[rising]
-        for values, colour, marker in ((G.real, STORAGE, "o"), (G.imag, LOSS, "s")):
-            positive, style = np.where(values > 0, values, np.nan), "-" if g.stable else ":"
-            (line,) = axes.loglog(omega, positive, style, color=colour, lw=1, alpha=1 if one else 0.35)
-            if one:
-                line.set(marker=marker, ms=4, mfc=colour if marker == "o" else "white")
-            axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
-    _draw_means(axes, results)
-    first = next(iter(results.values()))
-    if one:
+    """Draw G′ (solid) and G″ (dashed) of each family: the mean over stable packings ± its error, and the others."""
+    families, first = Families(results, grid=lambda g: g.omega.tolist()), next(iter(results.values()))
+    for family in families.members:
+        colours = (family.colour,) * 2 if len(families.members) > 1 else (STORAGE, LOSS)
+        stable = {name: g for name, g in family.results.items() if g.stable}
+        if len(stable) > 1:
+            _draw_mean(axes, stable, colours, family.marker)
+        one = len(family.results) == 1
+        for g in family.results.values():
+            _draw_one(axes, g, colours, family.marker if one else "", faint=not one)
+    if len(results) == 1:
         _draw_limits(axes, first)
     _guides(axes, first)
     bad = [g for g in results.values() if not g.stable]
-    axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=r"$G',\;G''$  (units of $k$)")
-    axes.plot([], [], "-o", color=STORAGE, label="storage modulus $G'$")
-    axes.plot([], [], "-s", color=LOSS, mfc="white", label="loss modulus $G''$")
+    axes.set(xlabel=r"angular frequency $\omega\tau_1$", ylabel=r"$G',\;G''$  ($k$)")
+    several = len(families.members) > 1
+    for style, colour, face, text in (
+        ("-", STORAGE, STORAGE, "storage modulus $G'$"),
+        ("--", LOSS, "white", "loss modulus $G''$"),
+    ):
+        look: dict[str, Any] = (
+            {"color": "0.3", "label": text} if several else {"color": colour, "mfc": face, "label": text}
+        )
+        axes.plot([], [], style if several else f"o{style}", **look)
+    if any(len(family.results) > 1 for family in families.members):
+        axes.fill_between([], [], [], color="0.5", alpha=0.35, lw=0, label="mean of stable packings ± its error")
     if bad:
         axes.plot([], [], ":", color="0.3", label="not stable")
     if any((g.values.real < 0).any() for g in results.values()):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
-    axes.legend(loc="upper left", frameon=False)
-    count = len({g.origin.checksum for g in results.values()})
-    title = heading(results)
-    if len({g.prestress for g in results.values()}) == 1:
-        title += f"; {given(first.prestress)}"
-    title += f"; {first.strain}" + rf"; {first.inertia} $k\tau_1^2$" * bool(first.inertia)
-    axes.set_title(title, fontsize=10)
+    families.show(axes)
+    axes.set_title(heading(results))
     if bad:
-        text = bad[0].state if one else f"{len({g.origin.checksum for g in bad})} of {count} packings not stable"
+        count = len({g.origin.checksum for g in results.values()})
+        text = (
+            bad[0].state
+            if len(results) == 1
+            else f"{len({g.origin.checksum for g in bad})} of {count} packings not stable"
+        )
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=UNSTABLE, weight="bold")
+
+
+def _draw_one(axes: Axes, g: ComplexModulus, colours: tuple[Colour, ...], marker: str, *, faint: bool) -> None:
+    rising = np.argsort(g.omega)
+    omega, G = g.omega[rising], g.values[rising]
+    for values, colour, style, face in ((G.real, colours[0], "-", colours[0]), (G.imag, colours[1], "--", "white")):
+        positive = np.where(values > 0, values, np.nan)
+        look = {"lw": 0.6, "alpha": 0.35} if faint else {"lw": 1, "marker": marker, "ms": 4, "mfc": face}
+        axes.loglog(omega, positive, style if g.stable else ":", color=colour, **look)
+        axes.loglog(omega, np.where(values < 0, -values, np.nan), "x", color=UNSTABLE, ms=5)
+
+
+def _draw_mean(axes: Axes, some: Mapping[str, ComplexModulus], colours: tuple[Colour, ...], marker: str) -> None:
+    """Draw mean ± standard error over stable packings of one kind."""
+    mean = average(some)
+    rising = np.argsort(mean.omega)
+    for part, colour, style, face in ((np.real, colours[0], "-", colours[0]), (np.imag, colours[1], "--", "white")):
+        centre, error = part(mean.mean)[rising], part(mean.error)[rising]
+        axes.loglog(mean.omega[rising], centre, style, color=colour, lw=1.4, marker=marker, ms=4, mfc=face)
+        low = np.maximum(centre - error, 1e-3 * centre)
+        axes.fill_between(mean.omega[rising], low, centre + error, color=colour, alpha=0.25, lw=0)
 
 
 def _draw_limits(axes: Axes, g: ComplexModulus) -> None:
@@ -99,49 +139,35 @@ def _draw_limits(axes: Axes, g: ComplexModulus) -> None:
             axes.annotate(text, (span[0], values[0]), shift, color=colour, textcoords="offset points", ha=side)
 
 
-def _draw_means(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
-    """Draw mean ± standard error over stable packings of one size and pressure under one law."""
-    for some in alike({name: g for name, g in results.items() if g.stable}).values():
-        if len(some) < 3:
-            continue
-        mean = average(some)
-        rising = np.argsort(mean.omega)
-        parts = ((np.real, STORAGE), (np.imag, LOSS))
-        for part, colour in parts:
-            centre, error = part(mean.mean)[rising], part(mean.error)[rising]
-            axes.loglog(mean.omega[rising], centre, color=colour, lw=1.8)
-            axes.fill_between(mean.omega[rising], centre - error, centre + error, color=colour, alpha=0.25, lw=0)
-
-
 def _draw_errors(axes: Axes, model: Spectrum) -> None:
     """Draw the bounds on the errors of G*, G′ and G″, and the frequencies of the factorisations."""
     omega = np.geomspace(*model.span, 801)
     storage, loss = model.part_errors(omega)
     axes.loglog(omega, storage, color=STORAGE, lw=0.8, label="$G'$")
-    axes.loglog(omega, loss, color=LOSS, lw=0.8, label="$G''$")
+    axes.loglog(omega, loss, "--", color=LOSS, lw=0.8, label="$G''$")
     axes.loglog(omega, model.error(omega), color="0.2", lw=1.2, label="$|G^*|$")
     axes.axhline(model.rtol, color="0.5", ls="--", lw=0.8)
     bottom, place = np.full(len(model.nodes), 0.03), axes.get_xaxis_transform()
     axes.plot(model.nodes, bottom, "|", color="0.2", ms=9, clip_on=False, transform=place)
     what = "bound" if model.definite else "estimate"
     axes.set(xlabel=r"$\omega\tau_1$", ylabel=f"{what} on relative error")
-    axes.set_title(f"{model.factorisations} factorisations (ticks)", fontsize=9)
-    axes.legend(frameon=False, fontsize=8)
+    axes.set_title(f"{model.factorisations} factorisations (ticks)")
+    axes.legend()
 
 
 def _draw_time(axes: Axes, model: Spectrum) -> None:
     """Draw the relaxation modulus G(t) and the creep compliance J(t)."""
     t = np.geomspace(1 / model.span[1], 1 / model.span[0], 401)
-    axes.set_title("after a step of strain, of stress", fontsize=9)
+    axes.set_title("after a step of strain, of stress")
     try:
         G, J = model.G(t), model.J(t)
     except SolverError as error:
         axes.text(0.5, 0.5, str(error), transform=axes.transAxes, ha="center", wrap=True, color=UNSTABLE)
         return
-    axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$, units of $k$")
-    axes.loglog(t, np.where(J > 0, J, np.nan), color=LOSS, lw=1.2, label="$J(t)$, units of $1/k$")
-    axes.set(xlabel=r"$t/\tau_1$")
-    axes.legend(frameon=False, fontsize=8)
+    axes.loglog(t, np.where(G > 0, G, np.nan), color=STORAGE, lw=1.2, label="$G(t)$")
+    axes.loglog(t, np.where(J > 0, J, np.nan), "--", color=LOSS, lw=1.2, label="$J(t)$")
+    axes.set(xlabel=r"time $t/\tau_1$", ylabel="$G(t)$  ($k$),  $J(t)$  ($1/k$)")
+    axes.legend()
 
 
 def _guides(axes: Axes, g: ComplexModulus) -> None:
@@ -192,3 +218,4 @@ def draw_fields(figure: FigureBase, g: ComplexModulus, most: int = 2500) -> None
             axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)
             axes.set(aspect="equal", xticks=[], yticks=[])
             axes.set_frame_on(False)
+            scale_bar(axes, packing.mean_diameter)

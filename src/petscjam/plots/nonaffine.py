@@ -6,13 +6,14 @@ Axes: i disk of the backbone, c contact, m pressure.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from petscjam.analysis.nonaffine import MOTIONS, QuasistaticResponse
 from petscjam.analysis.statistics import by_pressure, grouped, means, nominal
-from petscjam.plots.figure import LOSS, STORAGE, arrows, draw_cell, given, pressure_colours, solids
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, arrows, draw_cell, scale_bar, solids
+from petscjam.plots.legends import Shades, given, heading, setting
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,7 @@ LABELS = {
     "transverse": r"$|\Delta u^\perp|/\gamma$",
     "nonaffine": r"$|u_\mathrm{na}|/\gamma$",
 }
-STYLES = dict(zip(MOTIONS, ((STORAGE, "s"), (LOSS, "o"), ("#2e6b34", "^")), strict=True))
+STYLES = dict(zip(MOTIONS, ((STORAGE, "s"), (LOSS, "o"), (STABLE, "^")), strict=True))
 
 
 def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
@@ -36,17 +37,20 @@ def nonaffine_figure(results: Mapping[str, QuasistaticResponse]) -> Figure:
 
     figure = Figure(figsize=(12.5, 8), layout="constrained")
     panels = figure.subplot_mosaic([["parallel", "transverse", "nonaffine"], ["scaling", "scaling", "field"]])
-    kept, title = solids(results)
-    colours = pressure_colours([r.origin.pressure for r in results.values()])
+    kept, note = solids(results)
+    shades = Shades("pressure", [nominal(r.origin.pressure) for r in results.values()])
     for motion in MOTIONS:
-        draw_distribution(panels[motion], list(kept.values()), motion, colours)
+        draw_distribution(panels[motion], list(kept.values()), motion, shades)
+    for prestress in sorted({r.prestress for r in kept.values()}, reverse=True):
+        panels[MOTIONS[-1]].plot([], [], "-" if prestress else "--", color="0.4", label=given(prestress))
+    shades.show(panels[MOTIONS[-1]], markers=False)
     _draw_scaling(panels["scaling"], list(kept.values()))
     draw_field(panels["field"], next(iter(results.values())))
-    figure.suptitle(f"Quasi-static response, {next(iter(results.values())).strain}: {title}", fontsize=11)
+    figure.suptitle(f"quasi-static response: {heading(kept)}{note}")
     return figure
 
 
-def draw_distribution(axes: Axes, results: list[QuasistaticResponse], motion: str, colours: Any) -> None:
+def draw_distribution(axes: Axes, results: list[QuasistaticResponse], motion: str, shades: Shades) -> None:
     """Draw the probability density of the logarithm of a motion, one line for each pressure.
 
     Parameters
@@ -56,20 +60,19 @@ def draw_distribution(axes: Axes, results: list[QuasistaticResponse], motion: st
     results : list of QuasistaticResponse
     motion : str
         One of :data:`petscjam.analysis.nonaffine.MOTIONS`.
-    colours : callable
-        Returns the colour of a pressure.
+    shades : Shades
+        Of the pressures.
     """
     groups = grouped(results, lambda r: (nominal(r.origin.pressure), r.prestress))
     for (pressure, prestress), some in groups.items():
         sizes = np.concatenate([r.sizes(motion) for r in some])
         if not sizes.any():
             continue
-        density, edges = np.histogram(np.log10(sizes[sizes > 0]), bins=60, density=True)
+        there = np.log10(sizes[sizes > 0])
+        density, edges = np.histogram(there, bins=int(np.clip(len(there) ** (1 / 2), 4, 60)), density=True)
         middle, style = (edges[1:] + edges[:-1]) / 2, "-" if prestress else "--"
-        axes.semilogx(10**middle, density, style, color=colours(pressure), lw=1.2, label=f"p = {pressure:.2g}")
-    axes.set(xlabel=LABELS[motion], ylabel=r"density of $\log_{10}$")
-    if len(handles := dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))) <= 8:
-        axes.legend(handles.values(), handles.keys(), frameon=False, fontsize=8)
+        axes.semilogx(10**middle, density, style, color=shades(pressure), lw=1.2)
+    axes.set(xlabel=f"{LABELS[motion]}  ($d$)", ylabel=r"density of $\log_{10}$")
 
 
 def _draw_scaling(axes: Axes, results: list[QuasistaticResponse]) -> None:
@@ -85,8 +88,8 @@ def _draw_scaling(axes: Axes, results: list[QuasistaticResponse]) -> None:
             mean, _ = means([r.sizes(motion).mean() for r in some] for some in groups.values())
             axes.plot(list(groups), mean, ":" if prestress else "-.", color=colour, lw=1)
     axes.plot([], [], "k:", lw=1, label="means (dash-dotted: without pre-stress)")
-    axes.set(xscale="log", yscale="log", xlabel="pressure $p$ (units of $k$)", ylabel="motion per unit strain")
-    axes.legend(frameon=False, fontsize=8)
+    axes.set(xscale="log", yscale="log", xlabel="pressure $p$  ($k$)", ylabel="motion per unit strain  ($d$)")
+    axes.legend()
 
 
 def draw_field(axes: Axes, r: QuasistaticResponse) -> None:
@@ -106,4 +109,5 @@ def draw_field(axes: Axes, r: QuasistaticResponse) -> None:
     draw_cell(axes, box)
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
-    axes.set_title(f"non-affine motion, p = {r.origin.pressure:.2g}, {given(r.prestress)}", fontsize=9)
+    axes.set_title(f"non-affine motion, {setting('pressure', nominal(r.origin.pressure))}, {given(r.prestress)}")
+    scale_bar(axes, r.geometry.mean_diameter)

@@ -14,11 +14,12 @@ import numpy as np
 from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
-from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, disks, save
+from petscjam.plots.figure import LOSS, STABLE, STORAGE, UNSTABLE, disks, finished, house_style, scale_bar
+from petscjam.plots.legends import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
+    from matplotlib.figure import Figure, FigureBase
 
 SMALL, LARGE, RIM, FORCE = "#e9eff6", "#cbd9e8", "#8fa3b8", "#b03a1e"
 RATTLER, CAGED = "#7a5c00", "#fbeeb8"
@@ -28,19 +29,27 @@ CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 VERDICTS = {None: ("not judged", "0.45"), True: ("proved minimum", STABLE), False: ("not proved", UNSTABLE)}
 
 
-def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
+@house_style()
+def plot_packing(packing: Packing, path: str | PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
     """Draw one cell of ``packing``, cut at its edges.
 
     Contact forces are lines from centre to centre, with a width proportional to the force. A contact or a disk
-    across an edge is also drawn at the opposite edge. Rattlers are yellow and dashed. With ``history`` in the
+    across an edge is also drawn at the opposite edge. Rattlers are yellow and dashed. The bar is a length in mean
+    diameters. With ``history`` in the
     provenance — equally long lists ``evaluations`` (of the forces, so far), ``pressure``, ``force`` (the largest
     on a disk) and ``phi`` — pressure, force and packing fraction are drawn next to it.
 
     Parameters
     ----------
     packing : Packing
-    path : path
-        Of the figure; its extension gives the format.
+    path : path, optional
+        Write the figure; its extension gives the format.
+    ax
+        Of matplotlib: draw the packing here, without its history.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -53,6 +62,10 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
     width, height = np.ptp(CORNERS @ packing.box.cell, axis=0)
     tall = size * float(min(height / width, 2.0)) + 0.6
     history = _history(packing)
+    if ax is not None:
+        box = ax.get_window_extent()
+        draw_packing(ax, packing, float(box.width) / ax.figure.dpi)
+        return finished(ax.figure, path)
     if history is None:
         figure = Figure(figsize=(size, tall), layout="constrained")
         draw_packing(figure.subplots(), packing, size)
@@ -61,10 +74,10 @@ def plot_packing(packing: Packing, path: str | PathLike[str]) -> None:
         halves: Any = figure.subfigures(1, 2, width_ratios=[1, 0.75])
         draw_packing(halves[0].subplots(), packing, size)
         _draw_history(halves[1], history, packing.provenance.get("pressure"))
-    save(figure, path, dpi=200)
+    return finished(figure, path)
 
 
-def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
+def draw_packing(axes: Axes, packing: Packing, size: float, *, caption: bool = True) -> None:
     """Draw a packing.
 
     Parameters
@@ -74,6 +87,8 @@ def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
     packing : Packing
     size : float
         Width of the axes, inches.
+    caption : bool
+        Draw the title, the legend and the scale.
     """
     from matplotlib.colors import to_rgba_array
     from matplotlib.patches import Polygon
@@ -115,7 +130,10 @@ def draw_packing(axes: Axes, packing: Packing, size: float) -> None:
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
-    _caption(axes, packing, network, size + 4)
+    if caption:
+        _caption(axes, packing, network, size + 4)
+        scale_bar(axes, packing.mean_diameter)
+        _legend(axes, packing, network, pixels)
 
 
 def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
@@ -131,6 +149,26 @@ def _forces(packing: Packing, network: ContactNetwork, pixels: float) -> Any:
     return LineCollection(ends, colors=FORCE, capstyle="round", linewidths=widths, zorder=3)
 
 
+def _legend(axes: Axes, packing: Packing, network: ContactNetwork, pixels: float) -> None:
+    """Draw what the colours and the lines mean, below the cell; the line has the width of the mean force."""
+    from matplotlib.lines import Line2D
+
+    def disk(face: str, text: str, **edge: Any) -> Line2D:
+        return Line2D([], [], ls="", marker="o", ms=9, mfc=face, label=text, **edge)
+
+    found = []
+    if len(network):
+        width, mean = min(FORCE_WIDTH * pixels, 10.0), network.force.mean() / (network.pressure * packing.mean_diameter)
+        found.append(Line2D([], [], color=FORCE, lw=width, label=f"mean force, {mean:.3g} $pd$"))
+    low, high = packing.radii.min() / packing.mean_diameter * 2, packing.radii.max() / packing.mean_diameter * 2
+    found.append(disk(SMALL, f"diameter {low:.3g} $d$", mec=RIM))
+    if high > low * (1 + 1e-9):
+        found.append(disk(LARGE, f"{high:.3g} $d$", mec=RIM))
+    if network.rattlers:
+        found.append(disk(CAGED, "rattler", mec=RATTLER))
+    axes.legend(handles=found, loc="upper right", bbox_to_anchor=(1, 0), ncols=len(found), columnspacing=1.2)
+
+
 def _caption(axes: Axes, packing: Packing, network: ContactNetwork, fontsize: float) -> None:
     """Write the title: the packing, and whether it is a proved minimum."""
     verdict, colour = VERDICTS[packing.certificate.proved]
@@ -138,8 +176,8 @@ def _caption(axes: Axes, packing: Packing, network: ContactNetwork, fontsize: fl
         verdict, colour = f"not in balance: net forces reach {network.net_force:.2g} p·d", UNSTABLE
     count = network.rattlers
     axes.set_title(
-        f"{len(packing)} disks, $\\phi$ = {packing.phi:.5f}, p = {network.pressure:.3g}, "
-        f"Z = {network.Z:.3f}, {count} rattler{'' if count == 1 else 's'}",
+        f"$N$ = {len(packing)}, $\\phi$ = {packing.phi:.5f}, $p$ = {number(network.pressure)} $k$, "
+        f"$Z$ = {network.Z:.3f}, {count} rattler{'' if count == 1 else 's'}",
         fontsize=fontsize,
         pad=2 * fontsize,
     )
@@ -163,8 +201,8 @@ def _draw_history(figure: FigureBase, history: Mapping[str, Array], target: floa
     panels = figure.subplots(3, 1, sharex=True)
     evaluations = history["evaluations"]
     for axes, name, label, colour in (
-        (panels[0], "pressure", "pressure", STORAGE),
-        (panels[1], "force", "largest force on a disk", LOSS),
+        (panels[0], "pressure", "pressure $p$  ($k$)", STORAGE),
+        (panels[1], "force", r"largest net force on a disk  ($kd$)", LOSS),
         (panels[2], "phi", r"packing fraction $\phi$", "0.25"),
     ):
         values = history[name]
@@ -178,7 +216,7 @@ def _draw_history(figure: FigureBase, history: Mapping[str, Array], target: floa
     if target is not None:
         panels[0].axhline(target, color="0.3", lw=0.9, ls="--", zorder=0)
         place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
-        panels[0].annotate(f"target {target:.3g}", (1, target), (0, 4), color="0.3", fontsize=9, **place)
-    panels[0].set_title("Preparation", fontsize=10)
+        panels[0].annotate(f"target {number(target)}", (1, target), (0, 4), color="0.3", fontsize=9, **place)
+    panels[0].set_title("preparation")
     panels[2].set_xlabel("force evaluations")
     panels[2].ticklabel_format(axis="y", useOffset=False)

@@ -15,43 +15,42 @@ from petscjam.base.types import Array
 from petscjam.geometry.box import Box
 from petscjam.md.banding import Bands, NoBandsError, bands
 from petscjam.md.fields import RADIUS, blocks_after, local_maps, profile
+from petscjam.md.model import MODELS, Model
+from petscjam.md.oscillations import harmonics
 from petscjam.md.result import Mean, Run
 from petscjam.md.state import State
-from petscjam.plots.figure import LOSS, STABLE, STORAGE, disks, save
+from petscjam.plots.figure import LOSS, PALETTE, STABLE, STORAGE, disks, finished, house_style, scale_bar
+from petscjam.plots.legends import MARKERS, Shades, axis_label, law_text, legend, number, setting
 from petscjam.plots.packing import OUTLINED
 from petscjam.plots.tables import describe_bands, means_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
+    from matplotlib.figure import Figure, FigureBase
 
 
+HARMONICS = 1, 3, 5, 7, 9
 GREY, WARNED = "0.35", 4  # warnings shown below a figure of many runs
 DEFAULT = "harmonic-relative"  # that of VOT, not in the title
-VELOCITIES = (r"$V_{ij,T}$", r"$V^R_{ij}$", r"$V^C_{ij,T}$", r"$V_{ij,N}$")  # in the order of md.result.MIXED
-
-
-def _number(value: float) -> str:
-    """Return a number for a label, with a power of ten if it is far from 1."""
-    text = f"{value:.4g}"
-    if value == 0 or 1e-2 <= abs(value) < 1e4:
-        return text
-    head, power = f"{value:.3e}".split("e")
-    head = f"{float(head):g}"
-    return rf"${'' if head == '1' else head + chr(92) + 'times '}10^{{{int(power)}}}$"
+VELOCITIES = [  # in the order of md.result.MIXED
+    rf"${name}$  ($d_s\dot\gamma$)" for name in ("V_{ij,T}", "V^R_{ij}", "V^C_{ij,T}", "V_{ij,N}")
+]
 
 
 def _title(run: Run) -> str:
     s = run.settings
-    repulsion = f", {run.state.potential_name}" * (run.state.potential_name != DEFAULT)
-    size = f"{s.particles} disks{repulsion}"
-    return rf"{_model(s.model.name)}, {size}, $\phi$ = {s.phi:.5g}, $Q$ = {_number(s.model.Q)}"
+    potential = run.state.potential_name
+    repulsion = f", {setting('potential', potential)}" * (potential != DEFAULT)
+    size = f"$N$ = {s.particles}{repulsion}"
+    return rf"{_model(s.model)}, {size}, $\phi$ = {s.phi:.5g}, $Q$ = {number(s.model.Q)}"
 
 
-def _model(name: str) -> str:
-    """Return the name of a model with its subscript."""
-    head, _, index = name.partition("_")
-    return rf"{head}$_\mathrm{{{index}}}$" if index and index.isalpha() else name
+def _model(model: Model) -> str:
+    """Return the name of a model with its subscript, or its law."""
+    if model.name not in MODELS:
+        return law_text(model.law)
+    head, _, index = model.name.partition("_")
+    return rf"{head}$_\mathrm{{{index}}}$" if index else model.name
 
 
 def _warn(figure: FigureBase, texts: Sequence[str]) -> None:
@@ -63,15 +62,23 @@ def _warn(figure: FigureBase, texts: Sequence[str]) -> None:
 # --- one run ------------------------------------------------------------------------------------------
 
 
-def plot_run(run: Run, path: str | PathLike[str]) -> None:
+@house_style()
+def plot_run(run: Run, path: str | PathLike[str] | None = None) -> Figure:
     """Draw one run: its time series, profiles, collision angles, contact velocities, and a table of means.
+
+    An oscillation has loops of the stress against strain and strain rate, and harmonics, instead of profiles.
 
     Means, profiles and histograms leave out the first quarter of the strain, shaded in the time series.
 
     Parameters
     ----------
     run : Run
-    path : str or PathLike
+    path : str or PathLike, optional
+        Write the figure; its extension gives the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -86,14 +93,20 @@ def plot_run(run: Run, path: str | PathLike[str]) -> None:
     with suppress(NoBandsError):
         found = bands(run)
     _draw_series(panels[0], run)
-    draw_profiles(panels[1, :3], run, found)
+    if run.settings.protocol == "oscillation":
+        _draw_loops(panels[1, :3], run)
+    else:
+        draw_profiles(panels[1, :3], run, found)
     _draw_angles(panels[1, 3], run)
     _draw_velocities(panels[2, :3], run)
     _draw_means(panels[2, 3], run, found)
-    rate = run.settings.history["rate"]
-    figure.suptitle(rf"{_title(run)}, $\dot\gamma\tau_e$ = {_number(rate)}", fontsize=13)
+    history = run.settings.history
+    how = rf"$\dot\gamma\tau_e$ = {number(history['rate'])}"
+    if run.settings.protocol == "oscillation":
+        how = rf"$\gamma_0$ = {number(history['amplitude'])}, $\omega\tau_e$ = {number(history['omega'])}"
+    figure.suptitle(f"{_title(run)}, {how}")
     _warn(figure, run.warnings)
-    save(figure, path)
+    return finished(figure, path)
 
 
 def _draw_series(panels: Sequence[Axes], run: Run) -> None:
@@ -109,24 +122,11 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
             some = some if to_and_fro else np.where(some > 0, some, np.nan)
             stresses.plot(x, some, style, color=colour, lw=1.1, label=text)
     stresses.set(ylabel=r"stress  ($m/\tau_e^2$)", yscale="linear" if to_and_fro else "log")
-    stresses.legend(
-        frameon=False,
-        fontsize=8,
-        ncols=4,
-        loc="lower center",
-        bbox_to_anchor=(0.5, 1),
-        columnspacing=1,
-        handlelength=1.5,
-    )
+    stresses.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1), columnspacing=1, handlelength=1.5)
     contacts.plot(x, run.contacts, color=STABLE, lw=1.1)
     contacts.set(ylabel="contacts of a disk  $Z$", ylim=(0, 1.1 * max(run.contacts.max(), 1e-3)))
-    if run.settings.protocol == "oscillation":
-        friction.plot((strain[1:] + strain[:-1]) / 2, run.stress, color=LOSS, lw=0.8)
-        friction.set(xlabel=r"strain $\gamma$", ylabel=r"$\Sigma$  ($m/\tau_e^2$)")
-        panels = stresses, contacts, energy
-    else:
-        friction.plot(x, run.friction, color=GREY, lw=1.1)
-        friction.set(ylabel=r"$\mu = \Sigma/P$")
+    friction.plot(x, run.friction, color=GREY, lw=1.1)
+    friction.set(ylabel=r"friction $\mu = \Sigma/P$")
     with np.errstate(divide="ignore", invalid="ignore"):
         imbalance = np.abs(np.cumsum(run.rows["imbalance"])) / np.cumsum(run.rows["heat"])
     energy.semilogy(x, np.where(imbalance > 0, imbalance, np.nan), color=GREY, lw=1.1)
@@ -135,6 +135,32 @@ def _draw_series(panels: Sequence[Axes], run: Run) -> None:
         start = run.settings.time0 if to_and_fro else run.settings.strain0
         axes.axvspan(start, x[np.argmax(run.after())], color="0.93", lw=0, zorder=0)
         axes.set(xlabel=label, xlim=sorted((start, x[-1])))
+
+
+def _draw_loops(panels: Sequence[Axes], run: Run) -> None:
+    """Draw Σ against γ and γ̇, with the harmonics of the mean cycle, and the sizes of the harmonics."""
+    elastic, viscous, sizes = panels
+    strain = np.append(run.settings.strain0, run.strain)
+    elastic.plot((strain[1:] + strain[:-1]) / 2, run.stress, color=LOSS, lw=0.8, label="rows")
+    viscous.plot(run.rate, run.stress, color=LOSS, lw=0.8)
+    elastic.set(xlabel=r"strain $\gamma$", ylabel=r"shear stress $\Sigma$  ($m/\tau_e^2$)")
+    viscous.set(xlabel=r"strain rate $\dot\gamma\tau_e$", ylabel=r"shear stress $\Sigma$  ($m/\tau_e^2$)")
+    sizes.set(xlabel="harmonic $n$", ylabel=r"$|G_n|$  ($m/\tau_e^2$)")
+    try:
+        found = harmonics(run, orders=HARMONICS)
+    except InputError as reason:
+        sizes.text(0.5, 0.5, str(reason), transform=sizes.transAxes, ha="center", wrap=True, fontsize=8)
+        return
+    phase = np.linspace(0, 2 * np.pi, 401)
+    waves = [(G * np.exp(1j * n * phase)).imag for n, G in zip(found.orders, found.moduli, strict=True)]
+    stress = found.amplitude * np.sum(waves, axis=0)
+    drawn = ", ".join(map(str, found.orders.tolist()))
+    elastic.plot(found.amplitude * np.sin(phase), stress, "--", color="0.1", lw=1.2, label=f"n = {drawn}")
+    viscous.plot(found.amplitude * found.omega * np.cos(phase), stress, "--", color="0.1", lw=1.2)
+    elastic.legend()
+    size, error = np.abs(found.moduli), np.nan_to_num(np.abs(found.errors))
+    sizes.errorbar(found.orders, size, np.minimum(error, 0.9 * size), fmt="o", color=STORAGE, capsize=2)
+    sizes.set(yscale="log", xticks=found.orders)
 
 
 def draw_profiles(panels: Sequence[Axes], run: Run, found: Bands | None) -> None:
@@ -187,7 +213,7 @@ def _draw_angles(axes: Axes, run: Run) -> None:
         xticks=np.arange(-180, 181, 90),
         ylim=(0, None),
     )
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend()
 
 
 def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None:
@@ -216,7 +242,7 @@ def _draw_velocities(panels: Sequence[Axes], run: Run, most: int = 5000) -> None
             ends = mean[pick] + 3 * np.sqrt(max(variance, 0)) * np.array([[-1], [1]]) * way
             axes.plot(*ends.T, ":", color="k", lw=1.3)
         axes.plot(*mean[pick], "o", color="white", mec="k", ms=5)
-    panels[2].set_title(r"contacts: velocity differences in units of $d_s\dot\gamma$", fontsize=9)
+    panels[1].set_title("velocity differences at contacts")
 
 
 def _draw_means(axes: Axes, run: Run, found: Bands | None) -> None:
@@ -231,7 +257,8 @@ def _draw_means(axes: Axes, run: Run, found: Bands | None) -> None:
 # --- maps ---------------------------------------------------------------------------------------------
 
 
-def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -> None:
+@house_style()
+def plot_maps(state: State, path: str | PathLike[str] | None = None, radius: float = RADIUS) -> Figure:
     """Draw every disk in the colour of the packing fraction, and of the strain rate, around it (VOT fig. 27).
 
     The range of colours leaves out the lowest and the highest per cent.
@@ -239,9 +266,14 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
     Parameters
     ----------
     state : State
-    path : str or PathLike
+    path : str or PathLike, optional
+        Write the figure; its extension gives the format.
     radius : float
         Of the circle around a disk in which both are measured, ds.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -265,10 +297,10 @@ def plot_maps(state: State, path: str | PathLike[str], radius: float = RADIUS) -
         bar.formatter.set_useMathText(True)
         axes.set_title(text)
     figure.suptitle(
-        rf"{len(state)} disks, $\phi$ = {state.phi:.5g}, $\dot\gamma\tau_e$ = {_number(state.rate)}, "
+        rf"{len(state)} disks, $\phi$ = {state.phi:.5g}, $\dot\gamma\tau_e$ = {number(state.rate)}, "
         rf"$\gamma$ = {state.strain:.5g}; circles of {radius:g} $d_s$"
     )
-    save(figure, path, dpi=200)
+    return finished(figure, path)
 
 
 def _draw_disks(axes: Axes, state: State, values: Array, colours: str, disk: Any, centre: Array) -> Any:
@@ -281,20 +313,26 @@ def _draw_disks(axes: Axes, state: State, values: Array, colours: str, disk: Any
     drawn.set_rasterized(many)
     axes.add_collection(drawn, autolim=False)
     axes.set(xlim=(0, state.length), ylim=(0, state.height), aspect="equal", xticks=[], yticks=[])
-    axes.set(xlabel="$x$", ylabel="$y$")
+    scale_bar(axes, 1.0, "d_s")
     return drawn
 
 
 # --- a ramp -------------------------------------------------------------------------------------------
 
 
-def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
+@house_style()
+def plot_ramp(run: Run, path: str | PathLike[str] | None = None) -> Figure:
     """Draw Σ and P against the strain rate, increasing (filled) and decreasing (open) (VOT fig. 31).
 
     Parameters
     ----------
     run : Run
-    path : str or PathLike
+    path : str or PathLike, optional
+        Write the figure; its extension gives the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -314,14 +352,14 @@ def plot_ramp(run: Run, path: str | PathLike[str]) -> None:
         (panels[1], run.pressure, r"pressure $P$  ($m/\tau_e^2$)"),
     ):
         axes.set(xscale="log", yscale="log", xlabel=r"strain rate $\dot\gamma\tau_e$", ylabel=name)
-        for some, colour, face, text in ((up, STORAGE, STORAGE, "up"), (~up, LOSS, "white", "down")):
+        for some, marker, colour, face, text in ((up, "o", STORAGE, STORAGE, "up"), (~up, "s", LOSS, "white", "down")):
             good = some & (values > 0) & (rate > 0)
-            axes.plot(rate[good], values[good], "o", color=colour, mfc=face, ms=4.5, mew=0.9, label=text)
+            axes.plot(rate[good], values[good], marker, color=colour, mfc=face, ms=4.5, mew=0.9, label=text)
         draw_slopes(axes, rate, np.where(values > 0, values, np.nan))
-        axes.legend(frameon=False, loc="lower right")
-    figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {_number(run.settings.history['kappa'])}", fontsize=12)
+        axes.legend(loc="lower right")
+    figure.suptitle(rf"{_title(run)}, $\tilde\kappa$ = {number(run.settings.history['kappa'])}")
     _warn(figure, run.warnings)
-    save(figure, path)
+    return finished(figure, path)
 
 
 def draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
@@ -358,41 +396,54 @@ def draw_slopes(axes: Axes, rate: Array, values: Array) -> None:
 
 # --- flow curves --------------------------------------------------------------------------------------
 
-AXES = {"rate": (r"\dot\gamma\tau_e", "log"), "Q": ("Q", "log"), "phi": (r"\phi", "linear")}
+LOGARITHMIC = "rate", "Q"
 CURVES: tuple[tuple[str, str, Callable[[Run], Any]], ...] = (
+    (r"shear stress $\Sigma$  ($m/\tau_e^2$)", "log", lambda run: run.stress),
+    (r"friction $\mu = \Sigma/P$", "linear", lambda run: run.friction),
     (r"$P^\mathrm{el}$  ($m/\tau_e^2$)", "log", lambda run: run.pressure_elastic),
+    ("contacts of a disk  $Z$", "log", lambda run: run.contacts),
     (
-        r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$",
+        r"$\eta_p^\mathrm{el} = QP^\mathrm{el}/\dot\gamma\tau_e$  ($m/\tau_e^2$)",
         "log",
         lambda run: run.settings.model.Q * run.pressure_elastic / run.rate,
     ),
-    (r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$", "log", lambda run: run.pressure_elastic / run.rate**2),
+    (
+        r"$B_p^\mathrm{el} = P^\mathrm{el}/(\dot\gamma\tau_e)^2$  ($m/\tau_e^2$)",
+        "log",
+        lambda run: run.pressure_elastic / run.rate**2,
+    ),
     (r"$R_v = \langle\delta v_x^2\rangle/\langle v_y^2\rangle$", "log", lambda run: run.banding),
-    ("contacts of a disk  $Z$", "log", lambda run: run.contacts),
-    (r"$\mu = \Sigma/P$", "linear", lambda run: run.friction),
-    (r"$\langle\dot\theta/\dot\gamma\rangle$", "linear", lambda run: run.rows["spin"] / run.rate),
+    (r"spin $\langle\dot\theta/\dot\gamma\rangle$", "linear", lambda run: run.rows["spin"] / run.rate),
     (r"var$[\dot\theta/\dot\gamma]$", "log", lambda run: run.rows["spin_variance"] / run.rate**2),
 )
+RATES = 3  # strain rates that make a flow curve
+SPINS = 7  # the panels before those of spins
 
 
-def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
-    """Draw flow curves of steady runs (VOT figs. 1, 2, 12, 16, 20 and 22–24).
+@house_style()
+def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str] | None = None) -> Figure:
+    """Draw flow curves of steady runs: Σ and μ first (VOT figs. 1, 2, 12, 16, 20 and 22–24).
 
-    The abscissa is the one of strain rate, Q and φ with the most values; each combination of the others, of
-    models and of sizes is a curve. A point is the time mean over the last three quarters of a run with its error;
-    for several runs with equal settings, their mean and its standard error.
+    The abscissa is the strain rate if there are three, otherwise the one of strain rate, Q and φ with the most values.
+    Each combination of the others, of models and of sizes is a curve, with the number of the most values as its
+    colour. A point is the time mean over the last three quarters of a run with its error; for several runs with equal
+    settings, their mean and its standard error.
 
     Parameters
     ----------
     runs : mapping of str to Run
-    path : str or PathLike
+    path : str or PathLike, optional
+        Write the figure; its extension gives the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
 
     Raises
     ------
     InputError
         If there are no runs, or a run is not at a steady strain rate, or the figure cannot be written.
     """
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     if not runs:
@@ -400,49 +451,65 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str]) -> None:
     for name, run in runs.items():
         if run.settings.protocol != "steady":
             raise InputError(f"plot: {name} is not a steady run, but a {run.settings.protocol}")
-    x = max(AXES, key=lambda key: len({_setting(run, key) for run in runs.values()}))
+    counts = {key: len({_setting(run, key) for run in runs.values()}) for key in ("rate", "Q", "phi")}
+    x = "rate" if counts["rate"] >= RATES else max(counts, key=lambda key: counts[key])
     others = [key for key in ("model", "potential", "particles", "phi", "Q", "rate") if key != x]
     curves: dict[tuple[Any, ...], dict[float, list[Run]]] = {}
     for run in runs.values():
         kind = tuple(_setting(run, key) for key in others)
         curves.setdefault(kind, {}).setdefault(_setting(run, x), []).append(run)
-    differ = [k for k, key in enumerate(others) if len({kind[k] for kind in curves}) > 1]
+    differ = {key: {kind[k] for kind in curves} for k, key in enumerate(others)}
+    same = [_parameter(key, *some) for key, some in differ.items() if len(some) == 1 and some != {DEFAULT}]
+    numbers = [key for key in others[2:] if len(differ[key]) > 1]
+    key = max(numbers, key=lambda key: len(differ[key]), default="")
+    shades = Shades(key, differ[key]) if key else None
+    rest = [k for k, one in enumerate(others) if one != key and len(differ[one]) > 1]
+    kinds = sorted({tuple(kind[k] for k in rest) for kind in curves})
     spins = any(run.rows["spin"].any() for run in runs.values())
-    shown = CURVES if spins else CURVES[:6]
-    figure = Figure(figsize=(3.9 * len(shown) // 2, 7.6), layout="constrained")
-    panels = figure.subplots(2, len(shown) // 2).ravel()
-    shades = colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
-    for (kind, points), shade in zip(sorted(curves.items()), shades, strict=True):
-        label = ", ".join(_parameter(others[k], kind[k]) for k in differ)
-        where = sorted(points)
+    shown = CURVES if spins else CURVES[:SPINS]
+    columns = (len(shown) + 1) // 2  # the legend has a place of its own
+    figure = Figure(figsize=(3.9 * columns, 7.6), layout="constrained")
+    *panels, free = figure.subplots(2, columns).ravel()
+    for kind, points in sorted(curves.items()):
+        where, place = sorted(points), kinds.index(tuple(kind[k] for k in rest))
+        look: dict[str, Any] = {"color": PALETTE[place % len(PALETTE)], "marker": MARKERS[place % len(MARKERS)]}
+        if shades:
+            level = kind[others.index(shades.key)]
+            look |= {"color": shades(level)} if len(kinds) > 1 else shades.look(level)
         for axes, (_, _, value) in zip(panels, shown, strict=True):
             y, error = np.array([_point(points[w], value) for w in where]).T
-            axes.errorbar(where, y, error, color=shade, marker="o", ms=4, lw=1, capsize=2, label=label)
+            axes.errorbar(where, y, error, ms=4, lw=1, capsize=2, **look)
     for axes, (name, scale, _) in zip(panels, shown, strict=True):
-        axes.set(xscale=AXES[x][1], xlabel=f"${AXES[x][0]}$", title=name)
+        axes.set(xscale="log" if x in LOGARITHMIC else "linear", xlabel=axis_label(x), ylabel=name)
         y = np.concatenate([bars[0].get_ydata() for bars in axes.containers])
         if scale == "log" and y.max() > 3 * y[y > 0].min(initial=np.inf):  # smallest range with good ticks
             axes.set_yscale("log", nonpositive="mask")
-    same = [_parameter(key, kind[k]) for k, key in enumerate(others) if k not in differ and kind[k] != DEFAULT]
-    figure.suptitle(", ".join(same), fontsize=12)
+    free.set_axis_off()
+    for k, some in enumerate(kinds if len(kinds) > 1 else ()):
+        label = ", ".join(_parameter(others[r], value) for r, value in zip(rest, some, strict=True))
+        colour = "0.4" if shades else PALETTE[k % len(PALETTE)]
+        free.plot([], [], f"{MARKERS[k % len(MARKERS)]}-", color=colour, ms=4, lw=1, label=label)
+    if shades:
+        shades.show(free, markers=len(kinds) == 1)
+    elif len(kinds) > 1:
+        legend(free)
+    figure.suptitle(", ".join(same))
     doubtful = {name: run.warnings for name, run in runs.items() if run.warnings}
     shown_of = [f"{name}: {text}" for name, some in doubtful.items() for text in some]
     _warn(figure, shown_of[:WARNED] + [f"… {len(shown_of)} warnings in all"] * (len(shown_of) > WARNED))
-    if differ:
-        panels[len(shown) // 2 - 1].legend(loc="upper left", bbox_to_anchor=(1.02, 1), frameon=False)
-    save(figure, path)
+    return finished(figure, path)
 
 
 def _setting(run: Run, key: str) -> Any:
-    """Return a setting to six digits, because packing fractions have the rounding errors of cells."""
+    """Return a setting, numbers to six digits, because packing fractions have the rounding errors of cells."""
+    if key == "model":
+        return _model(run.settings.model)
     value = run.settings.attributes[key]
-    return float(f"{value:.6g}") if key in AXES else value
+    return float(f"{value:.6g}") if key in ("rate", "Q", "phi") else value
 
 
 def _parameter(key: str, value: Any) -> str:
-    if key in ("model", "potential"):
-        return _model(value)
-    return f"{value} disks" if key == "particles" else f"${AXES[key][0]}$ = {_number(value)}"
+    return value if key == "model" else setting(key, value)
 
 
 def _point(alike: list[Run], value: Callable[[Run], Any]) -> Mean:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from petscjam.md.result import MEANS, Run
 from petscjam.preparation.library import Library
 from petscjam.response.origin import Result
 from petscjam.response.result import ComplexModulus
-from petscjam.rows.damping import DampingLaw
+
+R = TypeVar("R", bound=Result)
 
 
 def describe_packing(packing: Packing) -> str:
@@ -235,15 +237,16 @@ def table(results: Mapping[str, Result]) -> str:
     if isinstance(first, ComplexModulus):
         return moduli_table(results)
     header = first.units + f"; {first.origin.strain}" * (first.origin.strain is not None)
-    width = max(len(name) for name in results)
+    width, differ = max(len(name) for name in results), coefficients(results)
     rows = {
         name: {
             "N": f"{r.origin.particles}",
             "p": f"{r.origin.pressure:.3e}",
             "pre-stress": "with" if r.prestress else "without",
+            **{key: f"{getattr(r.damping, key, np.nan):g}" for key in differ},
             **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in r.row().items()},
         }
-        for name, r in results.items()
+        for name, r in by_coefficients(results, differ).items()
     }
     heads = {key: max(len(key), *(len(row[key]) for row in rows.values())) for key in rows[next(iter(rows))]}
     lines = [header, " ".join([f"{'packing':{width}}", *(f"{key:>{w}}" for key, w in heads.items())])]
@@ -254,27 +257,57 @@ def table(results: Mapping[str, Result]) -> str:
 
 
 def moduli_table(results: Mapping[str, Any]) -> str:
-    """Return a table of ``results`` for each law: limits, largest error, and whether the packing is stable."""
-    blocks: dict[tuple[str, DampingLaw, bool, bool, str], dict[str, ComplexModulus]] = {}
+    """Return a table of ``results`` for each law: limits, largest error, and whether the packing is stable.
+
+    The coefficients in which the laws differ are columns, and the rows are in their order.
+    """
+    blocks: dict[tuple[Any, ...], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
-        blocks.setdefault((g.strain, g.damping, g.prestress, g.model is None, g.inertia), {})[name] = g
+        flags = tuple(value for value in vars(g.damping).values() if isinstance(value, bool))
+        kind = (g.strain, g.damping.name, flags, g.prestress, g.model is None, g.inertia)
+        blocks.setdefault(kind, {})[name] = g
     return "\n\n".join(_block(some) for some in blocks.values())
 
 
+def coefficients(results: Mapping[str, Result]) -> list[str]:
+    """Return the names of the numbers in which the damping laws of ``results`` differ."""
+    laws = {r.origin.damping for r in results.values() if r.origin.damping}
+    names = dict.fromkeys(item.name for law in laws for item in fields(law))
+    values = {name: [getattr(law, name, np.nan) for law in laws] for name in names}
+    return [name for name, some in values.items() if len(set(some)) > 1 and not isinstance(some[0], bool)]
+
+
+def by_coefficients(results: Mapping[str, R], names: Sequence[str]) -> dict[str, R]:
+    """Return ``results`` in ascending order of these coefficients of their laws.
+
+    Parameters
+    ----------
+    results : mapping of Result
+    names : sequence of str
+    """
+    order = sorted(results, key=lambda name: [getattr(results[name].damping, key, np.inf) for key in names])
+    return {name: results[name] for name in order}
+
+
 def _block(results: Mapping[str, ComplexModulus]) -> str:
+    differ = coefficients(results)
+    results = by_coefficients(results, differ)
     first = next(iter(results.values()))
     width = max(len(name) for name in results)
+    same = [item.name for item in fields(first.damping) if item.name not in differ]
+    law = first.damping.name
+    law += f" ({', '.join(f'{name}={getattr(first.damping, name)}' for name in same)})" * bool(same)
     what, meaning = "residual", "residual of each solve"
     if first.model:
         proved = all(g.model and g.model.definite for g in results.values())
         bound = "bound" if proved else "bound or estimate"
         what, meaning = "error", f"error: {bound} on |ΔG*|/|G*|"
     lines = [
-        f"{first.strain}, {first.damping}, {'with' if first.prestress else 'without'} pre-stress"
+        f"{first.strain}, {law}, {'with' if first.prestress else 'without'} pre-stress"
         f"{f', {first.inertia} k tau1²' * bool(first.inertia)}; "
         f"{len(first.omega)} frequencies from {first.omega.min():.3g} to {first.omega.max():.3g}",
         f"stress in k, time in tau1; {meaning}",
-        f"{'packing':{width}} {'N':>7} {'phi':>8} {'p':>9} {'Z':>6} "
+        f"{'packing':{width}} {''.join(f'{key:>9} ' for key in differ)}{'N':>7} {'phi':>8} {'p':>9} {'Z':>6} "
         f"{'G0':>12} {'eta0':>12} {'G_inf':>12} {'eta_inf':>12} {what:>8}  state",
     ]
     for name, g in results.items():
@@ -282,7 +315,7 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
         limits = " ".join(f"{_value(x):>12}" for x in (g.G0, g.eta0, g.G_inf, g.eta_inf))
         worst = (g.errors if g.model else g.residuals).max()
         lines.append(
-            f"{name:{width}} {p.particles:7d} {p.phi:8.5f} {p.pressure:9.3e} {p.Z:6.3f} "
+            f"{name:{width}} {_numbers(g, differ)}{p.particles:7d} {p.phi:8.5f} {p.pressure:9.3e} {p.Z:6.3f} "
             f"{limits} {worst:8.1e}  {g.state}"
         )
         lines += [f"{'':{width}} {note}" for note in g.notes]
@@ -291,9 +324,14 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
             values = np.array([[g.G0, g.eta0, g.G_inf, g.eta_inf] for g in some.values()])
             rows = {f"mean of {len(some)} stable": values.mean(0), "± its error": standard_error(values)}
             for label, row in rows.items():
-                head = f"{label:{width}} {kind.particles:7d} {'':8} {kind.pressure:9.2e} {'':6}"
+                law = _numbers(next(iter(some.values())), differ)
+                head = f"{label:{width}} {law}{kind.particles:7d} {'':8} {kind.pressure:9.2e} {'':6}"
                 lines.append(" ".join([head, *(f"{_value(x):>12}" for x in row)]))
     return "\n".join(lines)
+
+
+def _numbers(r: Result, names: Sequence[str]) -> str:
+    return "".join(f"{getattr(r.damping, name):9.4g} " for name in names)
 
 
 def _value(x: float) -> str:

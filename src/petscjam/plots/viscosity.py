@@ -5,36 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from petscjam.analysis.statistics import alike, means
+from petscjam.analysis.statistics import by_pressure, means
 from petscjam.analysis.viscosity import Viscosity
-from petscjam.plots.figure import given, solids
+from petscjam.plots.figure import panel, solids
+from petscjam.plots.legends import Families, axis_label, heading
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def viscosity_figure(results: Mapping[str, Viscosity]) -> Figure:
-    """Draw the mean of η0 over stable packings (over all if none is stable), with its standard error."""
-    from matplotlib.figure import Figure
+def viscosity_figure(results: Mapping[str, Viscosity], ax: Axes | None = None) -> Figure:
+    """Draw the mean of η0 over stable packings (over all if none is stable), with its standard error.
 
-    figure = Figure(figsize=(7.2, 5.2), layout="constrained")
-    axes = figure.subplots()
-    kept, title = solids(results)
-    curves: dict[tuple[str, int, bool], dict[float, list[float]]] = {}
-    for kind, some in sorted(alike(kept).items()):
-        curve = curves.setdefault((kind.law, kind.particles, kind.prestress), {})
-        curve[kind.pressure] = [r.eta0 for r in some.values()]
-    for (law, n, prestress), curve in sorted(curves.items()):
-        axes.errorbar(
-            list(curve),
-            *means(curve.values()),
-            fmt="o-" if prestress else "s--",
-            mfc=None if prestress else "white",
-            ms=5,
-            lw=1,
-            label=f"{law}, N = {n}, {given(prestress)}",
-        )
-    axes.set(xscale="log", yscale="log", xlabel="pressure $p$", ylabel=r"$\eta_0$  (units of $k\tau_1$)")
-    axes.set_title(title, fontsize=10)
-    axes.legend(frameon=False, fontsize=8)
-    return figure
+    Parameters
+    ----------
+    results : mapping of Viscosity
+    ax
+        Of matplotlib: draw here.
+    """
+    axes = panel(ax)
+    kept, note = solids(results)
+    families = Families(kept, x="pressure")
+    for family in families.members:
+        points = by_pressure(family.results.values())
+        values = means([r.eta0 for r in some] for some in points.values())
+        axes.errorbar(list(points), *values, ms=5, lw=1, capsize=2, **family.look)
+    axes.set(xscale="log", yscale="log", xlabel=f"pressure {axis_label('pressure')}")
+    axes.set(ylabel=r"viscosity $\eta_0$  ($k\tau_1$)", title=heading(kept) + note)
+    families.show(axes)
+    return axes.figure  # type: ignore[return-value]
