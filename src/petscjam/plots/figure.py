@@ -155,7 +155,7 @@ def settle(figure: Figure) -> None:
 
     figure.draw_without_rendering()
     for text in figure.findobj(Text):
-        if text.axes is None or text is text.axes.title:
+        if ", " in text.get_text() and (text.axes is None or text is text.axes.title):
             _break(text)
     for axis in [axis for axes in figure.axes if axes.axison for axis in (axes.xaxis, axes.yaxis)]:
         if not _collide(axis):

@@ -134,7 +134,7 @@ class Shades:
         """Return colour and marker of one of the values."""
         return {"color": self(value), "marker": self.marker(value)}
 
-    def show(self, axes: Axes | Sequence[Axes], style: str = "-", *, markers: bool = True) -> None:
+    def show(self, axes: Axes | Sequence[Axes], style: str = "-", *, markers: bool = True, **place: Any) -> None:
         """Draw the legend, or a colour bar if the values are too many for one; one value has neither.
 
         Parameters
@@ -145,6 +145,8 @@ class Shades:
             Of the lines in the legend.
         markers : bool
             Whether the curves have markers.
+        **place
+            Of the legend, as for matplotlib.
         """
         from matplotlib.axes import Axes as Panel
         from matplotlib.cm import ScalarMappable
@@ -164,7 +166,7 @@ class Shades:
             bar.ax.minorticks_off()
             bar.set_label(axis_label(self.key))
         if panels[0].get_legend_handles_labels()[0]:
-            legend(panels[0])
+            legend(panels[0], **place)
 
 
 def legend(axes: Axes, **place: Any) -> None:
@@ -245,19 +247,21 @@ class Families(Generic[R]):
             return self.shades(value), MARKERS[k % len(MARKERS)]
         return self.shades(value), self.shades.marker(value) if len(self.shades.values) <= MOST else ""
 
-    def show(self, axes: Axes) -> None:
+    def show(self, axes: Axes, **place: Any) -> None:
         """Draw the legend or the colour bar.
 
         Parameters
         ----------
         axes
             Of matplotlib.
+        **place
+            Of the legend, as for matplotlib.
         """
         if len(self.kinds) > 1:
             for k, kind in enumerate(self.kinds):
                 colour = "0.4" if self.shades else PALETTE[k % len(PALETTE)]
                 axes.plot([], [], MARKERS[k % len(MARKERS)], color=colour, label=kind)
         if self.shades:
-            self.shades.show(axes, markers=len(self.kinds) == 1)
+            self.shades.show(axes, markers=len(self.kinds) == 1, **place)
         elif axes.get_legend_handles_labels()[0]:
-            legend(axes)
+            legend(axes, **place)

@@ -10,7 +10,7 @@ import numpy as np
 from petscjam.analysis.statistics import average
 from petscjam.base.errors import InputError, SolverError
 from petscjam.plots.figure import LOSS, STORAGE, UNSTABLE, Colour, arrows, draw_cell, panel, scale_bar
-from petscjam.plots.legends import Families, heading
+from petscjam.plots.legends import Families, heading, number
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
 from petscjam.rows.kinematics import strain_mode
@@ -90,7 +90,7 @@ def _draw_moduli(axes: Axes, results: Mapping[str, ComplexModulus]) -> None:
         axes.plot([], [], ":", color="0.3", label="not stable")
     if any((g.values.real < 0).any() for g in results.values()):
         axes.plot([], [], "x", color=UNSTABLE, label="negative values, drawn at their magnitude")
-    families.show(axes)
+    families.show(axes, loc="upper left")
     axes.set_title(heading(results))
     if bad:
         count = len({g.origin.checksum for g in results.values()})
@@ -215,7 +215,8 @@ def draw_fields(figure: FigureBase, g: ComplexModulus, most: int = 2500) -> None
             u = motion[shown] * 1.6 * spacing / size
             arrows(axes, x[shown], u, width=0.0035, color=STORAGE if row else LOSS)
             draw_cell(axes, packing.box, 1.0 if shown.all() else 2 * float(half))
-            axes.set_title(f"{name}, ωτ₁ = {omega:.1e}\nrms displacement {size:.2g} δσ d/k", fontsize=9)
+            rms = rf"rms displacement {number(float(f'{size:.2g}'))} $\delta\sigma d/k$"
+            axes.set_title(rf"{name}, $\omega\tau_1$ = {number(float(omega))}" + f"\n{rms}", fontsize=9)
             axes.set(aspect="equal", xticks=[], yticks=[])
             axes.set_frame_on(False)
             scale_bar(axes, packing.mean_diameter)

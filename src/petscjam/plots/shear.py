@@ -490,9 +490,9 @@ def plot_flow(runs: Mapping[str, Run], path: str | PathLike[str] | None = None) 
         colour = "0.4" if shades else PALETTE[k % len(PALETTE)]
         free.plot([], [], f"{MARKERS[k % len(MARKERS)]}-", color=colour, ms=4, lw=1, label=label)
     if shades:
-        shades.show(free, markers=len(kinds) == 1)
+        shades.show(free, markers=len(kinds) == 1, loc="upper left")
     elif len(kinds) > 1:
-        legend(free)
+        legend(free, loc="upper left")
     figure.suptitle(", ".join(same))
     doubtful = {name: run.warnings for name, run in runs.items() if run.warnings}
     shown_of = [f"{name}: {text}" for name, some in doubtful.items() for text in some]
