@@ -170,7 +170,7 @@ def test_titles_are_sentences_within_the_picture(pictures, name):
         assert -1 <= box.x0 and box.x1 <= figure.bbox.width + 1, title.get_text()
 
 
-@pytest.mark.parametrize("name", ["modes.h5", "flows", "29 betas", "packing.h5"])
+@pytest.mark.parametrize("name", ["viscosity.h5", "29 betas"])
 def test_fonts_are_embedded_and_text_is_text(pictures, tmp_path, name):
     save(pictures(name), tmp_path / "a.pdf")
     pdf = (tmp_path / "a.pdf").read_bytes()
@@ -380,6 +380,12 @@ def test_a_style_counts_more_than_ours(tmp_path, capfd):
     assert main(["plot", file, "-o", str(tmp_path / "b.png"), "--style", "xyzzy"]) == 2
     assert "--style: 'xyzzy' is neither a file nor a style; known are" in capfd.readouterr().err
     assert not (tmp_path / "b.png").exists()
+
+
+def test_a_wrong_style_is_refused_before_the_work(tmp_path, capfd):
+    assert main(["figure", "bt3", "--style", "xyzzy", "-o", str(tmp_path / "runs")]) == 2
+    assert "'xyzzy'" in capfd.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_settings_of_the_user_stay():
