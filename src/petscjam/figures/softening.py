@@ -65,7 +65,7 @@ def _draw(page: Page, paths: Mapping[str, ShearPath], parts: list[float], pictur
             page.number(f"γ†, departure {part:g}, against p", *row)
         if fit is not None:
             right.plot(x, fit.prefactor * x**fit.exponent, "-", lw=0.8, color="0.5")
-    guide(right, (min(pressures), max(pressures)), min(pressures), 1, "p")
+    guide(right, (min(pressures), max(pressures)), min(pressures), 1, r"$\gamma^\dagger = p$")
     right.set(xscale="log", yscale="log", xlabel="pressure $p$  ($k$)")
     right.set_ylabel(r"$\gamma^\dagger$, median over packings")
     right.legend()

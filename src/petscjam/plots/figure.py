@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
@@ -132,6 +133,7 @@ def save(figure: Figure, path: str | PathLike[str], dpi: float | None = None) ->
     if kind not in known:
         raise InputError(f"{path}: {kind!r} is not a format of figures; known are {', '.join(sorted(known))}")
     picture = BytesIO()
+    logging.getLogger("fontTools").setLevel(logging.ERROR)  # it warns of the dates of fonts
     with house_style(dpi=dpi):
         try:
             settle(figure)

@@ -202,7 +202,7 @@ def _draw_history(figure: FigureBase, history: Mapping[str, Array], target: floa
     evaluations = history["evaluations"]
     for axes, name, label, colour in (
         (panels[0], "pressure", "pressure $p$  ($k$)", STORAGE),
-        (panels[1], "force", r"largest net force on a disk  ($kd$)", LOSS),
+        (panels[1], "force", r"largest net force  ($kd$)", LOSS),
         (panels[2], "phi", r"packing fraction $\phi$", "0.25"),
     ):
         values = history[name]
