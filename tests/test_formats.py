@@ -153,8 +153,8 @@ def test_truncated_gsd(tmp_path_factory, fraction):
 def test_missing_gsd_library(packing, frames, tmp_path, monkeypatch):
     path = frames({})
     monkeypatch.setitem(sys.modules, "gsd.hoomd", None)
-    refuses(path, "pip install gsd")
-    refuses(tmp_path / "new", "pip install gsd", read=lambda path: export_packing(packing, path, to="gsd"))
+    refuses(path, 'pip install "petscjam[formats]"')
+    refuses(tmp_path / "new", "petscjam[formats]", read=lambda path: export_packing(packing, path, to="gsd"))
 
 
 # LAMMPS: three disks in a tilted box, at these fractions of it

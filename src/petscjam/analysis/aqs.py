@@ -24,7 +24,7 @@ from petscjam.base import ranges
 from petscjam.base.arguments import Within, integer, number
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.interrupt import deferred
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.neighbours import pairs
 from petscjam.geometry.network import ContactNetwork
@@ -328,6 +328,7 @@ class _Path:
                 now = after
 
 
+@reporting
 @deferred()
 def aqs(
     packing: Packing,
@@ -338,7 +339,7 @@ def aqs(
     prestress: bool = True,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> ShearPath:
     """Shear ``packing`` quasi-statically at constant area, F = 1 + γ e_x e_yᵀ, and locate every change of its contacts.
 

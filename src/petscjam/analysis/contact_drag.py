@@ -19,7 +19,7 @@ from scipy.special import hyp2f1
 
 from petscjam.analysis.drag import NonlinearModulus, check_amplitude, equivalent_time
 from petscjam.base.errors import InputError, shown
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
@@ -64,6 +64,7 @@ def contact_times(velocity: Field, alpha: float, floor: float = 0.0) -> Array:
     return A ** (s / 2 - 1) * hyp2f1(-s / 4, (2 - s) / 4, 1.0, ratio**2)
 
 
+@reporting
 def self_consistent_drag(
     packing: Packing,
     omegas: ArrayLike,
@@ -77,7 +78,7 @@ def self_consistent_drag(
     most_iterations: int = 100,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> NonlinearModulus:
     """Return G*(ω; δσ) with a self-consistent time τ_c for each contact.
 

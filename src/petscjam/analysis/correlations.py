@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.analysis.statistics import standard_error
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
@@ -31,7 +31,7 @@ from petscjam.parallel.memory import require
 from petscjam.response.origin import Judged, Verb, frequencies, stored
 from petscjam.response.reduced import spectrum
 from petscjam.response.spectrum import Spectrum
-from petscjam.rows.damping import DampingLaw
+from petscjam.rows.damping import DampingLaw, with_law
 
 FINEST = 1e-3  # of lanes and bins, mean diameters
 ALONG = 1e-9  # largest y component of a lattice vector along x, relative to its length
@@ -95,6 +95,7 @@ class Correlations(Judged):
     bin: float = field(metadata=stored("length", finite=True))
     G0: float = field(metadata=stored("stress"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
+    lines: ClassVar[str] = "W D"
     units: ClassVar[str] = "lengths in d"
     figure: ClassVar[str] = "petscjam.plots.correlations:correlations_figure"
 
@@ -116,18 +117,20 @@ class Correlations(Judged):
         return np.array([zero_crossing(self.delta, C) for C in self.real])
 
 
+@reporting
+@with_law
 def correlations(
     packing: Packing,
     omegas: ArrayLike,
     *,
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     prestress: bool = True,
     comm: Comm | None = None,
     width: float | None = None,
     bin: float | None = None,
     rtol: float = 1e-8,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Correlations:
     """Return C(δ) at peak and at zero stress, at every frequency from one reduced model.
 

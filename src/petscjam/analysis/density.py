@@ -21,7 +21,7 @@ from petscjam.base import ranges
 from petscjam.base.arguments import Within, integer
 from petscjam.base.errors import InputError, SolverError
 from petscjam.base.interrupt import check
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
@@ -115,6 +115,7 @@ class DensityOfStates(Result):
         return replace(self, **series(self.moments, self.edge, np.atleast_1d(np.asarray(omega, dtype=float))))
 
 
+@reporting
 def density_of_states(
     packing: Packing,
     *,
@@ -124,7 +125,7 @@ def density_of_states(
     prestress: bool = True,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> DensityOfStates:
     """Estimate D(ω) of K_uu on the backbone, without translations, by products of K with vectors.
 

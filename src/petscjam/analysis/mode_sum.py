@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.analysis.nonaffine import MOTIONS, quasistatic_response
-from petscjam.base.progress import Report, part
+from petscjam.base.progress import Progress, part, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm
@@ -89,6 +89,7 @@ def modes_needed(ratios: ArrayLike, counts: ArrayLike, within: float = 0.1) -> f
     return float(np.asarray(counts)[first]) if first < len(np.asarray(counts)) else np.nan
 
 
+@reporting
 def mode_sum(
     packing: Packing,
     count: int = 50,
@@ -97,7 +98,7 @@ def mode_sum(
     strain: str = "simple-shear",
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> ModeSum:
     """Return the convergence of the response at ω → 0 with the number of modes; the vectors are not stored.
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
@@ -53,7 +53,7 @@ class QuasistaticResponse(Judged):
     stretching: float = field(metadata=stored("stress"))
     pre_stress: float = field(metadata=stored("stress"))
     disks: Integers = field(metadata=stored(axes="n"))
-    contacts: Integers = field(metadata=stored(axes="C 2"))
+    contacts: Integers = field(metadata=stored(axes="C 2", parts=("i", "j")))
     residual: float
     geometry: Packing
     settings: ClassVar[tuple[str, ...]] = ("strain",)
@@ -85,6 +85,7 @@ class QuasistaticResponse(Judged):
         return np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
 
 
+@reporting
 def quasistatic_response(
     packing: Packing,
     *,
@@ -92,7 +93,7 @@ def quasistatic_response(
     strain: str = "simple-shear",
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> QuasistaticResponse:
     """Minimise the energy at unit strain: K u = −K_uγ on the backbone (BT, Relation to floppiness).
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from petscjam.analysis.contact_drag import MEMORY, Point, drag_result, mixed, self_consistent_drag, weighted_point
 from petscjam.analysis.drag import NonlinearModulus
 from petscjam.base.errors import InputError, shown
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve, total
@@ -37,6 +37,7 @@ from petscjam.rows.kinematics import Field, strain_mode
 START = 1e-2  # accuracy of the times of contacts: they are the start, and R
 
 
+@reporting
 def nonlinear_drag(
     packing: Packing,
     omegas: ArrayLike,
@@ -50,7 +51,7 @@ def nonlinear_drag(
     most_iterations: int = 200,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> NonlinearModulus:
     """Return G*(ω; δσ) of the periodic solution of the nonlinear equations of motion (BT eqs. 9, 10).
 

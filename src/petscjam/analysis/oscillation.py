@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from petscjam.analysis.aqs import State, changes, states_at
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError, SolverError
-from petscjam.base.progress import Report
-from petscjam.base.types import Array
+from petscjam.base.progress import Progress, Report, reporting
+from petscjam.base.types import Array, numbers
 from petscjam.geometry.packing import Packing
 from petscjam.md import protocols
 from petscjam.md.model import Model
@@ -32,7 +32,7 @@ from petscjam.md.starts import along_x, given_state
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
 from petscjam.response.moduli import complex_modulus
 from petscjam.response.origin import Result, Verb, frequencies, stored
-from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default, with_law
 
 AMPLITUDE = ranges.Range(1e-12, 10)
 CYCLES = ranges.Range(3, 1e12, whole=True)
@@ -81,12 +81,13 @@ class Oscillations(Result):
     cycles: int = field(metadata=stored("1"))
     values: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
     scatter: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
-    higher: NDArray[np.complex128] = field(metadata=stored("stress", "2 A W"))
+    higher: NDArray[np.complex128] = field(metadata=stored("stress", "2 A W", parts=("third", "fifth")))
     linear: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
     heat: Array = field(metadata=stored("stress", "A W"))
     contact_events: Array = field(metadata=stored("1", "A W"))
     returns: Array = field(metadata=stored("1", "A W"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
+    lines: ClassVar[str] = "A W"
     units: ClassVar[str] = "moduli in k; smallest omega, in 1/tau1; linear: of the linear response with inertia"
     figure: ClassVar[str] = "petscjam.plots.oscillation:oscillation_figure"
 
@@ -157,6 +158,8 @@ class Units(NamedTuple):
         return cls(Q, stress, stress * Q)
 
 
+@reporting
+@with_law
 def oscillate(
     packing: Packing,
     amplitudes: ArrayLike,
@@ -165,11 +168,11 @@ def oscillate(
     mass: float = 1.0,
     cycles: int = 8,
     engine: str = "cpu",
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     prestress: bool = True,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Oscillations:
     """Shear a packing as γ0 sin ωt at every amplitude and frequency, from rest.
 
@@ -202,10 +205,10 @@ def oscillate(
     """
     comm = resolve(comm)
     agree(comm, packing, amplitudes, omegas, mass, cycles, engine, damping, prestress)
-    law, omega = law_or_default(damping), np.unique(np.asarray(omegas, dtype=float))
+    law, omega = law_or_default(damping), np.unique(numbers("omega", omegas))
     slow = omega == 0
     frequencies(omega[~slow], empty=bool(slow.any()))
-    gamma = np.unique(np.asarray(amplitudes, dtype=float))
+    gamma = np.unique(numbers("amplitude", amplitudes))
     if not len(gamma):
         raise InputError("amplitude: there is none")
     for value in gamma:
@@ -321,7 +324,7 @@ def _measured(
             done(task, finish(steps(task)))
     else:
         for task, error in abreast(moving, steps, done):
-            raise SolverError(f"amplitude {task.amplitude:g}, omega {task.omega:g}: {error}") from error
+            raise SolverError(f"amplitude {task.amplitude:g}, omega {task.omega:g}: {error}") from None
     return [found[task] for task in tasks], [doubts[task] for task in tasks if task in doubts]
 
 

@@ -380,7 +380,7 @@ def collapse(
     try:
         shared = overlap(search.scaled(first)[0])
     except TypeError as error:
-        raise InputError(f"collapse: the form does not fit the exponents and parameters: {error}") from error
+        raise InputError(f"collapse: the form does not fit the exponents and parameters: {error}") from None
     if not shared >= least_overlap:
         raise InputError(
             f"collapse: at the start curves share {shared:.2g} of their length, less than "

@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError
-from petscjam.base.types import Array
+from petscjam.base.tables import Table, Tabular
+from petscjam.base.types import Array, per_decade
 from petscjam.response.origin import Result, frequencies
 from petscjam.response.result import ComplexModulus
+from petscjam.response.spectrum import Spectrum
 
+Modulus = ComplexModulus | Spectrum
 R = TypeVar("R", bound=Result)
 K = TypeVar("K", float, tuple[Any, ...])
 
@@ -112,7 +115,7 @@ def alike(results: Mapping[str, R]) -> dict[Kind, dict[str, R]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Average:
+class Average(Tabular):
     """G* over packings on a common grid. Units as those of the moduli.
 
     Attributes
@@ -139,18 +142,30 @@ class Average:
     excluded: tuple[str, ...] = ()
     unbalanced: tuple[str, ...] = ()
 
+    def facts(self) -> dict[str, Any]:
+        """Return the number of packings and of frequencies, by name."""
+        return {"packings": self.count, "left out": len(self.excluded), "frequencies": len(self.omega)}
+
+    def flat(self) -> Table:
+        """Return a line for each frequency."""
+        columns = {"omega": self.omega}
+        for name, values in (("G", self.mean), ("scatter", self.scatter), ("error", self.error)):
+            columns |= {f"{name}_storage": values.real, f"{name}_loss": values.imag}
+        return Table(columns, {"omega": "1/tau1", **{name: "stress" for name in columns if name != "omega"}})
+
 
 def average(
-    results: Mapping[str, ComplexModulus], omegas: ArrayLike | None = None, *, unstable: bool = False
+    results: Mapping[str, Modulus] | Iterable[Modulus], omegas: ArrayLike | None = None, *, unstable: bool = False
 ) -> Average:
     """Average G* over the results of one law.
 
     Parameters
     ----------
-    results : mapping of ComplexModulus
-        By name.
+    results : mapping or sequence of ComplexModulus or Spectrum
+        By name, or with the names of their packings.
     omegas : (W,), optional
-        Angular frequencies, 1/τ1. Default: the common grid of all results.
+        Angular frequencies, 1/τ1. Default: the common grid of all results; of spectra, ten per decade of their common
+        span.
     unstable : bool
         Include unstable packings. Otherwise ``excluded`` has their names.
 
@@ -163,6 +178,7 @@ def average(
     InputError
         If no result is left, settings differ, or a result has no value at one of the frequencies.
     """
+    results = _named(results)
     kept = {name: g for name, g in results.items() if unstable or g.stable}
     if not kept:
         name, other = next(iter(results.items()), ("", None))
@@ -170,8 +186,7 @@ def average(
         raise InputError(f"average: none of {len(results)} packings is stable{reason}")
     if len({(g.damping, g.strain, g.prestress, g.origin.potential, g.inertia) for g in kept.values()}) > 1:
         raise InputError("average: the results have different laws, strains, pre-stress, potentials or masses")
-    first = next(iter(kept.values()))
-    omega = first.omega if omegas is None else frequencies(omegas)
+    omega = _grid(kept.values()) if omegas is None else frequencies(omegas)
     values: NDArray[np.complex128] = np.array([_at(name, g, omega) for name, g in kept.items()])
     return Average(
         omega,
@@ -184,10 +199,37 @@ def average(
     )
 
 
-def _at(name: str, g: ComplexModulus, omega: Array) -> NDArray[np.complex128]:
+def _named(results: Any) -> dict[str, Modulus]:
+    """Return moduli and spectra by name."""
+    if isinstance(results, Result):
+        results = [results]
+    if not isinstance(results, Mapping):
+        given = list(results)
+        results = {f"{k + 1}: {g.origin.name}" if isinstance(g, Result) else str(k + 1): g for k, g in enumerate(given)}
+    for name, g in results.items():
+        if not isinstance(g, Modulus):
+            raise InputError(f"average: {name} is a {type(g).__name__}; moduli and spectra have G*")
+    return dict(results)
+
+
+def _grid(kept: Iterable[Modulus]) -> Array:
+    """Return the frequencies of the first modulus or, of spectra alone, ten per decade of their common span."""
+    spans = []
+    for g in kept:
+        if isinstance(g, ComplexModulus):
+            return g.omega
+        spans.append(g.span)
+    low, high = max(span[0] for span in spans), min(span[1] for span in spans)
+    if low > high:
+        raise InputError("average: the spectra have no common frequency")
+    return per_decade(10, low, high)
+
+
+def _at(name: str, g: Modulus, omega: Array) -> NDArray[np.complex128]:
     """Return G* at ``omega``, from the model if this is not the grid of the result."""
-    if np.array_equal(g.omega, omega):
+    if isinstance(g, ComplexModulus) and np.array_equal(g.omega, omega):
         return g.values
-    if g.model is None or omega.min() < g.model.span[0] or omega.max() > g.model.span[1]:
+    model = g.model if isinstance(g, ComplexModulus) else g
+    if model is None or omega.min() < model.span[0] or omega.max() > model.span[1]:
         raise InputError(f"average: {name} is not known on this grid")
-    return g.model(omega)
+    return model(omega)

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from petscjam.analysis.oscillation import Units, sheared
 from petscjam.base import arguments, ranges
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
-from petscjam.base.types import Array
+from petscjam.base.progress import Progress, Report, reporting
+from petscjam.base.types import Array, numbers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.md import protocols
@@ -26,7 +26,7 @@ from petscjam.md.starts import given_state
 from petscjam.parallel.comm import Comm, agree, on_root, resolve
 from petscjam.response.origin import Result, Verb, stored
 from petscjam.response.reduced import spectrum
-from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default, with_law
 
 STEP = ranges.Range(1e-12, 10)
 TIMES = ranges.Range(1e-30, 1e30)
@@ -63,6 +63,7 @@ class StepStrain(Result):
     mass: Array = field(metadata=stored("stress*tau1**2", "T", finite=True))
     contact_events: Array = field(metadata=stored("1", "A"))
     settings: ClassVar[tuple[str, ...]] = ("damping",)
+    lines: ClassVar[str] = "A T"
     units: ClassVar[str] = "moduli in k, at the last time, in tau1; linear: G(t) of the linear response"
     figure: ClassVar[str] = "petscjam.plots.step_strain:step_figure"
 
@@ -78,6 +79,8 @@ class StepStrain(Result):
         }
 
 
+@reporting
+@with_law
 def step_strain(
     packing: Packing,
     steps: ArrayLike,
@@ -85,11 +88,11 @@ def step_strain(
     *,
     inertia: float = INERTIA,
     engine: str = "cpu",
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     prestress: bool = True,
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> StepStrain:
     """Shear a packing by γ at once, and return its stress afterwards.
 
@@ -123,7 +126,7 @@ def step_strain(
     comm = resolve(comm)
     agree(comm, packing, steps, times, inertia, engine, damping, prestress)
     law = law_or_default(damping)
-    gamma, t = (np.unique(np.asarray(some, dtype=float)) for some in (steps, times))
+    gamma, t = np.unique(numbers("strain", steps)), np.unique(numbers("time", times))
     for what, some, known in (("strain", gamma, STEP), ("time", t, TIMES)):
         if not len(some):
             raise InputError(f"{what}: there is none")

@@ -185,5 +185,5 @@ def divergence(phi: ArrayLike, Qc: ArrayLike, errors: ArrayLike) -> Divergence:
     try:
         best, covariance = curve_fit(law, phi, Qc, (1.0, 1.0, 1.0), errors, absolute_sigma=True, maxfev=10000)
     except RuntimeError as error:
-        raise InputError(f"divergence: {error}") from error
+        raise InputError(f"divergence: {error}") from None
     return Divergence(*map(Located, best.tolist(), np.sqrt(np.diag(covariance)).tolist()))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve
 from petscjam.response.limits import zero_frequency
 from petscjam.response.origin import Judged, Verb, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default, with_law
 from petscjam.rows.kinematics import strain_mode
 
 
@@ -45,15 +45,17 @@ class Viscosity(Judged):
         }
 
 
+@reporting
+@with_law
 def viscosity(
     packing: Packing,
     *,
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Viscosity:
     """Return η0 = Q†BQ/V of the quasi-static motion (docs/theory.md, Limits).
 

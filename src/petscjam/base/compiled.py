@@ -20,7 +20,7 @@ try:
 except Exception as error:
     raise InputError(
         f"numba cannot start: {' '.join(str(error).split())}; its settings are the variables NUMBA_…"
-    ) from error
+    ) from None
 
 prange = numba.prange
 BATCH = 256  # pairs whose scratch arrays stay in the cache of a processor
@@ -72,7 +72,7 @@ def compiled(function: Callable[..., Any], what: str) -> Any:
     try:  # np.where returns a 0-d array; the product is a number
         return numba.cfunc("float64(float64)", error_model="numpy")(lambda x: 1.0 * one(x))
     except numba.core.errors.NumbaError as error:
-        raise InputError(f"{what}: numba cannot compile it: {' '.join(str(error).split())}") from error
+        raise InputError(f"{what}: numba cannot compile it: {' '.join(str(error).split())}") from None
 
 
 @cast(Any, intrinsic)  # type: ignore[untyped-decorator]

@@ -1,8 +1,12 @@
-"""The two kinds of errors: wrong input, and a computation whose result is not reliable."""
+"""The kinds of errors: wrong input, a missing package, and a computation whose result is not reliable."""
 
 
 class InputError(ValueError):
     """An input is wrong; the message names the value and what to do. Exit status 2."""
+
+
+class MissingError(InputError, ImportError):
+    """A package is not installed; the message names what installs it. Exit status 2."""
 
 
 class SolverError(RuntimeError):

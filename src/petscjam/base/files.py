@@ -22,7 +22,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from petscjam.base.errors import InputError
+from petscjam.base.errors import InputError, MissingError
 
 if TYPE_CHECKING:
     import h5py
@@ -67,7 +67,7 @@ def understanding(what: str) -> Iterator[None]:
         AssertionError,
         MemoryError,
     ) as error:
-        raise InputError(f"damaged {what}, or not the expected content ({error})") from error
+        raise InputError(f"damaged {what}, or not the expected content ({error})") from None
 
 
 @contextmanager
@@ -78,9 +78,10 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
     except InputError as error:
         if str(error).startswith(f"{path}:"):
             raise
-        raise InputError(f"{path}: {error}") from error
+        kind = MissingError if isinstance(error, MissingError) else InputError
+        raise kind(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from None
 
 
 def check_output(path: str | PathLike[str], *, overwrite: bool, inputs: Iterable[str | PathLike[str]] = ()) -> None:

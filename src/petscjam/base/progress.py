@@ -6,8 +6,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 Report = Callable[[float, str], None]
+Progress: TypeAlias = Report | Any  # or True: see reporting
+P = ParamSpec("P")
+R = TypeVar("R")
 LINE_EVERY = 10.0  # seconds between lines of a log
 
 
@@ -42,6 +47,23 @@ def progress(label: str, *, show: bool) -> Iterator[Report]:
             yield report
     else:
         yield _lines(label)
+
+
+def reporting(function: Callable[P, R]) -> Callable[P, R]:
+    """Let ``function`` take ``progress=True``: :func:`progress`, on rank 0 of its ``comm``."""
+    label = function.__name__.replace("_", " ")
+
+    @wraps(function)
+    def reported(*args: P.args, **kwargs: P.kwargs) -> R:
+        given: Any = kwargs.get("progress")
+        if not isinstance(given, bool):
+            return function(*args, **kwargs)
+        comm: Any = kwargs.get("comm")
+        with progress(label, show=given and getattr(comm, "rank", 0) == 0) as report:
+            kwargs["progress"] = report
+            return function(*args, **kwargs)
+
+    return reported
 
 
 @contextmanager

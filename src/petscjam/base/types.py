@@ -7,8 +7,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from petscjam.base.errors import InputError, shown
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+LONGEST = 60  # characters of a value in a message
+
+
+def numbers(what: str, values: ArrayLike) -> Array:
+    """Return a number or a list of numbers as an array with one axis.
+
+    Parameters
+    ----------
+    what : str
+        Their name in the message.
+    values : array_like
+
+    Returns
+    -------
+    (n,)
+
+    Raises
+    ------
+    InputError
+        If they are text, or lists of different lengths.
+    """
+    try:
+        array = np.asarray(values)
+        if array.size and array.dtype.kind not in "iuf":
+            raise ValueError
+        array = array.astype(float)
+    except ValueError:
+        text = shown(values)
+        text = text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+        raise InputError(f"{what}: needs a number, a list or an array of numbers, not {text}") from None
+    return np.atleast_1d(array).ravel()
 
 
 def per_decade(points: int, low: float, high: float) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 
 from petscjam.base.errors import InputError, shown
 from petscjam.base.files import check_shapes, check_type
+from petscjam.base.tables import Table, Tabular
 from petscjam.base.types import Array, frozen
 from petscjam.geometry import packing_file
 from petscjam.geometry.box import Box
@@ -93,7 +94,7 @@ class Certificate:
 
 
 @dataclass(frozen=True, eq=False)
-class Packing:
+class Packing(Tabular):
     """Disks in a periodic cell, in the units of the source.
 
     Parameters
@@ -166,6 +167,25 @@ class Packing:
         for array in (self.positions, self.radii, self.box.cell):
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()[:16]
+
+    def facts(self) -> dict[str, Any]:
+        """Return size, packing fraction, potential and the certificate, by name."""
+        c = self.certificate
+        verdict = {None: "not judged", True: "yes", False: "no"}[c.proved]
+        known = {"pressure": c.pressure, "Z": c.Z, "rattlers": c.rattlers, "negative modes": c.negative_modes}
+        known |= {"lowest eigenvalue": c.lowest_eigenvalue, "shear modulus": c.shear_modulus}
+        return {
+            "disks": len(self),
+            "phi": self.phi,
+            "potential": self.potential_name,
+            **{name: value for name, value in known.items() if value is not None},
+            "proved minimum": verdict,
+        }
+
+    def flat(self) -> Table:
+        """Return a line for each disk: position and radius."""
+        x, y = self.positions.T
+        return Table({"x": x, "y": y, "radius": self.radii}, dict.fromkeys(("x", "y", "radius"), "length"))
 
     @classmethod
     def read(cls, path: str | PathLike[str]) -> Packing:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from petscjam.base.errors import InputError
+from petscjam.base.tables import optional
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
 from petscjam.io.reading import Wanted, check_plane
@@ -34,7 +35,7 @@ def read_gsd(path: Path, wanted: Wanted) -> Packing:
         raise
     except (RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
         reason = re.sub(rf"[: ]*{re.escape(str(path))}", "", str(error))
-        raise InputError(f"damaged GSD file, or not of HOOMD's schema ({reason})") from error
+        raise InputError(f"damaged GSD file, or not of HOOMD's schema ({reason})") from None
     x, y, z = disks.position.T
     diameters = disks.diameter.astype(float)
     by_default = bool((diameters == 1).all())
@@ -72,12 +73,9 @@ def gsd_library() -> Any:
 
     Raises
     ------
-    InputError
+    MissingError
         If it is not installed.
     """
-    try:
-        import gsd.fl
-        import gsd.hoomd
-    except ImportError as error:
-        raise InputError("GSD needs the package gsd: pip install gsd") from error
-    return gsd
+    optional("gsd.fl", "formats")
+    optional("gsd.hoomd", "formats")
+    return optional("gsd", "formats")

@@ -123,11 +123,11 @@ def _unpacked(path: Path) -> Iterator[Path]:
             with unpack(path) as packed, open(copy, "wb") as file:
                 shutil.copyfileobj(packed, file)
         except (EOFError, zlib.error, lzma.LZMAError, gzip.BadGzipFile) as error:
-            raise InputError(f"damaged or truncated, cannot be decompressed ({error})") from error
+            raise InputError(f"damaged or truncated, cannot be decompressed ({error})") from None
         try:
             yield copy
         except InputError as error:
-            raise InputError(str(error).removeprefix(f"{copy}: ")) from error
+            raise InputError(str(error).removeprefix(f"{copy}: ")) from None
 
 
 def read_own(path: Path, wanted: Wanted) -> Packing:

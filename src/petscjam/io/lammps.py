@@ -141,7 +141,7 @@ def read_lammps_dump(path: Path, wanted: Wanted) -> Packing:
     try:
         atoms = rows("ATOMS", parsed_whole(lines[row]))
     except ValueError as error:
-        raise InputError(f"line {row + 1}: {error}") from error
+        raise InputError(f"line {row + 1}: {error}") from None
     places = [f"{x}{kind}" for x in "xyz" if f"{x}{kind}" in names]
     table = text.table(atoms, len(names), [names.index(name) for name in ["id", *places, *sizes]])
     text.check_end(atoms)

@@ -235,7 +235,7 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
         try:
             rate, dt, strain, time = (parsed(found[name]) for name in ("rate", "dt", "strain", "time"))
         except (KeyError, ValueError) as error:
-            raise InputError(f"not as petscjam wrote it: no number for {error}") from error
+            raise InputError(f"not as petscjam wrote it: no number for {error}") from None
     with naming(path):
         try:
             lines = path.read_text().split("ITEM: TIMESTEP\n")[1:][frame].splitlines()
@@ -247,7 +247,7 @@ def read_lammps(path: str | PathLike[str], frame: int = -1) -> State:
             )
             (xlo, xhi, xy), (ylo, yhi, _) = (map(parsed, line.split()) for line in lines[4:6])
         except (ValueError, IndexError) as error:
-            raise InputError(f"no frame {frame}, or a damaged one ({error})") from error
+            raise InputError(f"no frame {frame}, or a damaged one ({error})") from None
         length, height = xhi - xlo - abs(xy), yhi - ylo  # the bounds are those of all corners
         for good, what in (
             (columns == f"ITEM: ATOMS {COLUMNS}", f"the columns are {columns!r}, not {COLUMNS}"),

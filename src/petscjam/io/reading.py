@@ -176,7 +176,7 @@ def numbers(words: Sequence[str], n: int) -> list[float]:
     try:
         return [parsed(word) for word in words]
     except ValueError as error:
-        raise InputError(f"line {n + 1}: {error}") from error
+        raise InputError(f"line {n + 1}: {error}") from None
 
 
 def check_once(names: Sequence[str], n: int, what: str) -> None:

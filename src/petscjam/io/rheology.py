@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from petscjam.analysis.statistics import Average
 from petscjam.base.errors import InputError
 from petscjam.base.files import check_output, write_atomically
-from petscjam.base.types import Array, per_decade
+from petscjam.base.types import Array, numbers, per_decade
 from petscjam.io.exporters import format_of
 from petscjam.response.reduced import PLATEAU
 from petscjam.response.result import ComplexModulus
@@ -177,7 +177,7 @@ def export_average(mean: Average, path: str | PathLike[str], *, overwrite: bool 
 
 
 def _times(times: ArrayLike) -> Array:
-    t = np.atleast_1d(np.asarray(times, dtype=float)).ravel()
+    t = numbers("times", times)
     if t.size == 0:
         raise InputError("times: the range is empty")
     bad = ~(np.isfinite(t) & (t >= 0))

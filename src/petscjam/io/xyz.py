@@ -124,6 +124,6 @@ def _columns(properties: str, n: int) -> tuple[dict[str, list[int]], int]:
         try:
             columns[name] = list(range(width, width + parsed_whole(size)))
         except ValueError as error:
-            raise InputError(f"line {n + 1}: Properties: {error}") from error
+            raise InputError(f"line {n + 1}: Properties: {error}") from None
         width += len(columns[name])
     return columns, width

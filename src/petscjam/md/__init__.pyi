@@ -4,6 +4,7 @@ from .banding import bands as bands
 from .oscillations import harmonics as harmonics
 from .result import Run as Run
 from .result import read as read
+from .result import read_folder as read_folder
 from .runs import ramp as ramp
 from .runs import run as run
 from .runs import shear as shear

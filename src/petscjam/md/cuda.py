@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.base.errors import InputError, SolverError
+from petscjam.base.errors import InputError, MissingError, SolverError
 from petscjam.base.interrupt import check
 from petscjam.base.types import Array
 from petscjam.md import kernels
@@ -44,7 +44,7 @@ from petscjam.md.state import State
 
 simulated: bool = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
 if not simulated and find_spec("numba_cuda") is None:
-    raise InputError("shear: the engine cuda needs numba-cuda: pip install 'petscjam[cuda]'")
+    raise MissingError("shear: the engine cuda needs numba-cuda: pip install 'petscjam[cuda]'")
 os.environ.setdefault("NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS", "0")  # one run is one block
 try:
     from numba import cuda
@@ -55,7 +55,7 @@ try:
     if not cuda.is_available():
         raise RuntimeError("there is no NVIDIA GPU, or no driver for it")
 except Exception as error:
-    raise InputError(f"shear: the engine cuda cannot start: {' '.join(str(error).split())}") from error
+    raise InputError(f"shear: the engine cuda cannot start: {' '.join(str(error).split())}") from None
 
 T = TypeVar("T")
 

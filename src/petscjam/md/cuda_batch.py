@@ -152,9 +152,7 @@ class Batch:
             if self.potential.exponent is not None or card.SIMULATED:
                 raise
             text = " ".join(str(error).split())
-            raise InputError(
-                f"potential: {self.potential.name!r}: numba cannot compile it for a GPU: {text}"
-            ) from error
+            raise InputError(f"potential: {self.potential.name!r}: numba cannot compile it for a GPU: {text}") from None
 
     def _made(self, courses: Mapping[Simulated, Course]) -> list[tuple[NDArray[np.int64], Array]]:
         """Launch ``advance``; return results and sums of each run. Cells without room are enlarged."""

@@ -88,7 +88,7 @@ class Model:
 
     @classmethod
     def of(cls, law: str | DampingLaw, Q: float, **others: Any) -> Model:
-        """Return the model of a name of :data:`MODELS`, or of a damping law.
+        """Return the model of a name of :data:`MODELS` or of ``LAWS``, or of a damping law.
 
         Parameters
         ----------
@@ -103,9 +103,9 @@ class Model:
             If the name is unknown, or the law is none of :data:`petscjam.rows.damping.LAWS`.
         """
         if isinstance(law, str):
-            if law not in MODELS:
-                raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join(MODELS)}")
-            law = MODELS[law]
+            if law not in MODELS and law not in LAWS:
+                raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join([*MODELS, *LAWS])}")
+            law = MODELS[law] if law in MODELS else LAWS[law]()
         if not isinstance(law, tuple(LAWS.values())):
             raise InputError(f"shear: {shown(law)} is neither the name of a model nor a damping law")
         return cls(law, Q, **others)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.versions import release
 from petscjam.geometry.packing import Packing
 from petscjam.md.result import Run
@@ -36,13 +36,14 @@ def snapshot(run: Run) -> Packing:
     return replace(state.packing(), provenance=made_by)
 
 
+@reporting
 def quench(
     source: Run | State | Packing,
     *,
     method: str = "fire",
     threads: int = 1,
     budget: int = BUDGET,
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Packing:
     """Return the nearest minimum of the energy at the box of ``source``, with its certificate.
 
@@ -74,4 +75,4 @@ def quench(
     try:
         return relax_packing(start, method=method, threads=threads, budget=budget, progress=progress)
     except InputError as error:
-        raise InputError(f"quench: at phi = {start.phi:.6f}: {error}") from error
+        raise InputError(f"quench: at phi = {start.phi:.6f}: {error}") from None

@@ -26,6 +26,7 @@ from petscjam.base.files import (
     open_h5,
     write_atomically,
 )
+from petscjam.base.tables import Table, Tabular, optional
 from petscjam.base.types import Array
 from petscjam.md.observables import BLOCKS, ROWS, AbsentError, Block, Observed, Row
 from petscjam.md.settings import Settings
@@ -33,6 +34,7 @@ from petscjam.md.state import State
 
 if TYPE_CHECKING:
     import h5py
+    import xarray
 
 FORMAT, SCHEMA = "petscjam run", 3  # 1 had neither parts nor other potentials; 1 and 2 had only squares
 ARRAYS = ("positions", "velocities", "spins", "radii", "angles")  # of the state; angles may be absent
@@ -63,7 +65,7 @@ class Mean(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Tabular):
     """A sheared run. Units: ds, m, τe (VOT sec. II C).
 
     Attributes
@@ -156,6 +158,39 @@ class Run:
     def banding(self) -> Array:
         """Rv = ⟨δvx²⟩/⟨vy²⟩ (VOT eq. 37), (K,)."""
         return self.rows["dvx2"] / self.rows["vy2"]
+
+    def facts(self) -> dict[str, Any]:
+        """Return the settings and the time means with their errors, by name."""
+        s = self.settings
+        facts: dict[str, Any] = {"model": s.model.name, "disks": s.particles, "phi": s.phi, "Q": s.model.Q}
+        facts |= {"protocol": s.protocol, "strain": float(self.strain[-1]), "rows": len(self.strain)}
+        with suppress(InputError):
+            facts |= {
+                name: f"{m.value:.4g} ± {m.error:.1g}" for name, m in self.means().items() if np.isfinite(m.value)
+            }
+        return facts
+
+    def flat(self) -> Table:
+        """Return a line for each interval of the time series."""
+        return Table(dict(self.rows), {name: ROWS[name].unit for name in self.rows if name in ROWS})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return time series and blocks as a Dataset of xarray, with units; the attributes are the settings.
+
+        Raises
+        ------
+        MissingError
+            Without xarray.
+        """
+        xr = optional("xarray", "tables")
+        found: dict[str, Any] = {
+            name: ("time", values, {"units": ROWS[name].unit if name in ROWS else ""})
+            for name, values in self.rows.items()
+        }
+        for name, block in self.blocks.items():
+            dims = ["block", *(f"{name}_{k}" for k in range(1, np.ndim(block)))]
+            found[f"block_{name}"] = (dims, block, {"units": BLOCKS[name].unit if name in BLOCKS else ""})
+        return xr.Dataset(found, attrs=dict(self.settings.attributes))
 
     def after(self, strain: float | None = None) -> NDArray[np.bool_]:
         """Mark the rows after ``strain`` from the start (default: 1/4 of the run), (K,) bool."""
@@ -347,21 +382,33 @@ def check_arrays(
 
 
 def read(path: str | PathLike[str]) -> Run:
-    """Return the run of a file that :func:`petscjam.md.shear` or ``petscjam shear`` wrote.
+    """Return the run of a file that :func:`petscjam.md.shear` or ``petscjam shear`` wrote; of a folder all, by name.
+
+    :func:`read_folder` has the type of the latter.
 
     Raises
     ------
     InputError
         If the file is missing, damaged or truncated, or holds no run.
     """
+    if Path(path).is_dir():
+        return read_folder(path)  # type: ignore[return-value]
     with open_h5(path) as h5:
         return read_run(h5)
 
 
 def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
-    """Return every run in ``folder`` by the name of its file, without the extension."""
-    files = sorted(Path(folder).glob("*.h5"))
-    return {file.stem: read(file) for file in files if is_run(file)}
+    """Return every run in ``folder`` by the name of its file, without the extension.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    runs = {file.stem: read(file) for file in sorted(Path(folder).glob("*.h5")) if is_run(file)}
+    if not runs:
+        raise InputError(f"{folder}: there are no runs in this folder")
+    return runs
 
 
 def export_csv(run: Run, path: str | PathLike[str], *, overwrite: bool = False) -> None:

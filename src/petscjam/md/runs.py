@@ -19,7 +19,7 @@ from petscjam.base.compiled import build, use_threads
 from petscjam.base.errors import DoubtfulWarning, InputError
 from petscjam.base.files import check_output, marked, naming, open_h5
 from petscjam.base.interrupt import deferred
-from petscjam.base.progress import Report
+from petscjam.base.progress import Report, reporting
 from petscjam.base.ranges import MOST_ROWS, MOST_STEPS
 from petscjam.base.versions import release
 from petscjam.geometry.potential import POTENTIALS, power_law
@@ -35,7 +35,7 @@ from petscjam.md.simulation import Simulation
 from petscjam.md.starts import Phases, Start, first_state, given_state, rescaled, two_phases
 from petscjam.parallel.claims import claimed, made_folder
 from petscjam.parallel.memory import require
-from petscjam.rows.damping import DampingLaw
+from petscjam.rows.damping import DampingLaw, with_law
 
 # An engine with dependencies of its own is a name, and imported when it is asked for.
 ENGINES: dict[str, type[Engine] | str] = {"cpu": Simulation, "cuda": "petscjam.md.cuda.CudaSimulation"}
@@ -48,6 +48,8 @@ BYTES_PER_STEP = 16  # in a row: strains and rates of a fifth of its steps, and 
 BYTES_PER_ROW = 4000  # numbers of a row, its share of a block, and copies during writing
 
 
+@reporting
+@with_law
 def shear(
     model: str | DampingLaw = "CD_rot",
     n: int | None = None,
@@ -110,6 +112,8 @@ def shear(
     )
 
 
+@reporting
+@with_law
 def ramp(
     model: str | DampingLaw = "CD_rot",
     n: int | None = None,
@@ -307,7 +311,7 @@ def finish(steps: Steps) -> Run:
             return done.value
 
 
-run = _whole(begin)
+run = reporting(with_law(_whole(begin)))
 
 
 def engine_of(name: str) -> type[Engine]:

@@ -163,7 +163,7 @@ def _read(lock: Path) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise InputError(f"{lock} is not a claim of petscjam ({error.strerror}); remove it") from error
+        raise InputError(f"{lock} is not a claim of petscjam ({error.strerror}); remove it") from None
     raise InputError(f"{lock} is not a claim of petscjam; remove it")
 
 
@@ -173,8 +173,8 @@ def _check_gone(content: str, lock: Path) -> None:
         owner = json.loads(content)
         process, host, started = int(owner["process"]), str(owner["host"]), owner["started"]
         here = all(owner[key] == value for key, value in _machine().items())
-    except (ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{lock} is not a claim of petscjam; remove it") from error
+    except (ValueError, LookupError, TypeError):
+        raise InputError(f"{lock} is not a claim of petscjam; remove it") from None
     if not here or _is_alive(process, started):
         advice = "" if here else f"; if it has ended, remove {lock}"
         raise InputError(f"another run (process {process} on {host}) writes to it{advice}")

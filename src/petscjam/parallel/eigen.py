@@ -327,7 +327,7 @@ def _failing_in_words() -> Iterator[None]:
     try:
         yield
     except petsc().Error as error:
-        raise SolverError(f"SLEPc failed: {error}") from error
+        raise SolverError(f"SLEPc failed: {error}") from None
 
 
 def _real_pairs(A: Mat, metric: Mat | None, V: Array, count: int) -> Pairs:

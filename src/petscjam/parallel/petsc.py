@@ -11,13 +11,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from petscjam.base.errors import InputError, SolverError
+from petscjam.base.errors import InputError, MissingError, SolverError
 from petscjam.base.interrupt import Interrupted, deferred
 from petscjam.parallel.comm import Comm
 
 ADVICE = (
     'with Python 3.12 or newer on Linux pip install "petscjam[solver]", on Debian install '
-    "python3-petsc4py-complex and python3-slepc4py-complex, elsewhere a PETSc configured with "
+    "python3-petsc4py-complex and python3-slepc4py-complex, with conda install -c conda-forge "
+    '"petsc4py=*=complex*" "slepc4py=*=complex*", elsewhere a PETSc configured with '
     "--with-scalar-type=complex --download-mumps (docs: Installing)"
 )
 OPENBLAS_KERNELS = {"SKYLAKEX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"}, "HASWELL": {"avx2", "fma"}}
@@ -50,8 +51,8 @@ def petsc() -> ModuleType:
 
     Raises
     ------
-    InputError
-        If petsc4py is missing, has real scalars, or lacks MUMPS, with the way to install it.
+    MissingError
+        An ImportError, if petsc4py is missing, has real scalars, or lacks MUMPS, with the way to install it.
     """
     _prepare_blas()
     try:
@@ -62,7 +63,7 @@ def petsc() -> ModuleType:
         petsc4py.init(["petscjam", "-no_signal_handler", *_options], comm=_world[0] if _world else MPI.COMM_SELF)
         from petsc4py import PETSc
     except ImportError as error:
-        raise InputError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None
+        raise MissingError(f"petscjam needs petsc4py with complex scalars ({error}): {ADVICE}") from None
     check(PETSc)
     return PETSc
 
@@ -89,9 +90,9 @@ def check(PETSc: ModuleType) -> None:
 
     version = ".".join(map(str, PETSc.Sys.getVersion()))
     if not np.issubdtype(PETSc.ScalarType, np.complexfloating):
-        raise InputError(f"petscjam needs a complex PETSc; this one ({version}) has real scalars: {ADVICE}")
+        raise MissingError(f"petscjam needs a complex PETSc; this one ({version}) has real scalars: {ADVICE}")
     if not PETSc.Sys.hasExternalPackage("mumps"):
-        raise InputError(f"petscjam needs MUMPS, and this PETSc ({version}) was built without it: {ADVICE}")
+        raise MissingError(f"petscjam needs MUMPS, and this PETSc ({version}) was built without it: {ADVICE}")
 
 
 @cache
@@ -100,14 +101,14 @@ def slepc() -> ModuleType:
 
     Raises
     ------
-    InputError
+    MissingError
         If SLEPc, or a suitable PETSc, is missing.
     """
     petsc()
     try:
         from slepc4py import SLEPc
     except ImportError as error:
-        raise InputError(f"petscjam needs slepc4py for eigenmodes ({error}): {ADVICE}") from None
+        raise MissingError(f"petscjam needs slepc4py for eigenmodes ({error}): {ADVICE}") from None
     return SLEPc
 
 

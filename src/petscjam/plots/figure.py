@@ -139,7 +139,7 @@ def save(figure: Figure, path: str | PathLike[str], dpi: float | None = None) ->
             settle(figure)
             figure.savefig(picture, format=kind)
         except ValueError as error:  # no number of an axis can be drawn, as on a logarithmic one
-            raise InputError(f"the figure cannot be drawn: {error}") from error
+            raise InputError(f"the figure cannot be drawn: {error}") from None
     write_atomically(path, picture.getvalue())
 
 

@@ -204,7 +204,7 @@ def pivots(A: csc_array) -> tuple[Array, float]:
     try:
         lu = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except (RuntimeError, MemoryError) as error:
-        raise SolverError(f"the factorisation of K failed: {error}") from error
+        raise SolverError(f"the factorisation of K failed: {error}") from None
     if (lu.perm_r != lu.perm_c).any():
         raise SolverError("the factorisation of K exchanged rows; its pivots do not count modes")
     L, U = lu.L, lu.U

@@ -24,8 +24,9 @@ from petscjam.base.arguments import parsed, parsed_whole
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.files import check_output, check_type, naming, open_h5, understanding, write_atomically
 from petscjam.base.interrupt import Interrupted, deferred
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.ranges import MOST_RUNS
+from petscjam.base.tables import Table, Tabular
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.packing_file import OURS
@@ -84,7 +85,7 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Library:
+class Library(Tabular):
     """The content of a folder of packings.
 
     Attributes
@@ -109,6 +110,24 @@ class Library:
     failed: list[dict[str, Any]]
     tried: frozenset[str] = frozenset()
 
+    def facts(self) -> dict[str, Any]:
+        """Return the number of packings, of proved minima and of failures, the sizes and pressures, by name."""
+        sizes = sorted({row["particles"] for row in self.rows})
+        targets = sorted({row["target"] or row["pressure"] for row in self.rows})
+        return {
+            "folder": self.folder,
+            "packings": len(self.rows),
+            "proved minima": sum(row["proved"] is True for row in self.rows),
+            "failed": len(self.failed),
+            "disks": ", ".join(map(str, sizes)),
+            "pressures": ", ".join(f"{p:.3g}" for p in targets),
+        }
+
+    def flat(self) -> Table:
+        """Return a line for each packing, and for each one that failed."""
+        units = dict.fromkeys(("target", "pressure", "shear_modulus"), "k") | {"lowest_eigenvalue": "k", "seconds": "s"}
+        return Table.of_rows([*self.rows, *self.failed], units)
+
 
 @dataclass(frozen=True)
 class _Series:
@@ -128,6 +147,7 @@ class _Series:
         return self.n * pressure**-0.3
 
 
+@reporting
 @deferred()
 def prepare_library(
     folder: str | PathLike[str],
@@ -140,7 +160,7 @@ def prepare_library(
     overwrite: bool = False,
     threads: int | None = None,
     budget: int = BUDGET,
-    progress: Report | None = None,
+    progress: Progress | None = None,
     **recipe: Any,
 ) -> Library:
     """Prepare a packing of every size, pressure and seed in ``folder``, and return its content.

@@ -15,7 +15,7 @@ import numpy as np
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.interrupt import deferred
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.types import Array
 from petscjam.base.versions import release
 from petscjam.geometry.box import Box
@@ -39,6 +39,7 @@ HISTORY = 200  # stored points of the history of a preparation
 DIGITS = 1e6  # smallest ratio of forces to rounding errors
 
 
+@reporting
 @deferred()
 def prepare_packing(
     n: int = 1024,
@@ -53,7 +54,7 @@ def prepare_packing(
     polydispersity: float = 0.0,
     threads: int = 1,
     budget: int = BUDGET,
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Packing:
     """Return a packing of ``n`` disks in mechanical equilibrium at ``pressure``, with its certificate.
 
@@ -133,6 +134,7 @@ def prepare_packing(
     return _relaxed(energy.at(z), pressure, shear_stabilised, method, threads, record)
 
 
+@reporting
 @deferred()
 def relax_packing(
     packing: Packing,
@@ -142,7 +144,7 @@ def relax_packing(
     method: str = "fire",
     threads: int = 1,
     budget: int = BUDGET,
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Packing:
     """Return the nearest minimum of ``packing``, with its certificate.
 

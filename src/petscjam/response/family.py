@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
@@ -100,6 +100,7 @@ class Family:
         return replace(model, limits=limits, limit_errors=limit_errors, notes=notes)
 
 
+@reporting
 def beta_family(
     packing: Packing,
     betas: tuple[float, float],
@@ -112,7 +113,7 @@ def beta_family(
     comm: Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
     **solver_options: Any,
 ) -> Family:
     """Return G*(ω) under contact damping at every β between ``betas`` from one reduced model in (ω, β).

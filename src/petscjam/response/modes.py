@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from petscjam.base.arguments import Within, integer
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.ranges import MODES
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.network import ContactNetwork
@@ -137,6 +137,7 @@ class Modes(Result):
         return _rows(ContactNetwork.of(self.geometry).without_rattlers(), self.strain)
 
 
+@reporting
 def lowest_modes(
     packing: Packing,
     count: int = 50,
@@ -145,7 +146,7 @@ def lowest_modes(
     strain: str = "simple-shear",
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> Modes:
     """Return the ``count`` lowest modes of K on the backbone, and prove that none was missed.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.base.errors import InputError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, reporting
 from petscjam.base.types import Array
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve
@@ -22,22 +22,24 @@ from petscjam.response.matrices import Pencil, solving
 from petscjam.response.origin import frequencies
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.result import ComplexModulus
-from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default, with_law
 from petscjam.rows.kinematics import SYMMETRIC_STRAINS, Field, strain_mode
 
 
+@reporting
+@with_law
 def complex_modulus(
     packing: Packing,
     omegas: ArrayLike,
     *,
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     strain: str = "simple-shear",
     prestress: bool = True,
     comm: Comm | None = None,
     mass: ArrayLike | None = None,
     fields_at: ArrayLike = (),
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> ComplexModulus:
     """Solve (K + iωB)q = f at each frequency (BT eqs. 10–13) and for both limits; with inertia (K + iωB − ω²M)q = f.
 

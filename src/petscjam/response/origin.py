@@ -6,17 +6,21 @@ Axes: w frequency.
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator
+from dataclasses import Field, asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from petscjam.base.errors import InputError
 from petscjam.base.ranges import OMEGA
-from petscjam.base.types import Array
+from petscjam.base.tables import Table, Tabular, optional
+from petscjam.base.types import Array, numbers
 from petscjam.rows.damping import DampingLaw
+
+if TYPE_CHECKING:
+    import xarray
 
 
 def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
@@ -38,7 +42,7 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     InputError
         If there is none, or one is out of range.
     """
-    omega = np.atleast_1d(np.asarray(omegas, dtype=float)).ravel()
+    omega = numbers("omega", omegas)
     if omega.size == 0 and not empty:
         raise InputError("omega: the range is empty")
     for value in omega[~((omega >= OMEGA.low) & (omega <= OMEGA.high))]:
@@ -46,7 +50,9 @@ def frequencies(omegas: ArrayLike, *, empty: bool = False) -> Array:
     return omega
 
 
-def stored(unit: str = "", axes: str = "", *, finite: bool = False, words: tuple[str, ...] = ()) -> dict[str, Any]:
+def stored(
+    unit: str = "", axes: str = "", *, finite: bool = False, words: tuple[str, ...] = (), parts: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Return the metadata of a field of a result: its unit in the file, and the checks on reading.
 
     Parameters
@@ -59,8 +65,11 @@ def stored(unit: str = "", axes: str = "", *, finite: bool = False, words: tuple
         Whether NaN and infinity are refused.
     words : tuple of str
         The values of a text. Default: any.
+    parts : tuple of str
+        Columns of the flat table for real and imaginary part, or for the entries of an axis of fixed length. Default:
+        the name with ``real`` and ``imag``, or with numbers from 1.
     """
-    return {"unit": unit, "axes": axes, "finite": finite, "words": words}
+    return {"unit": unit, "axes": axes, "finite": finite, "words": words, "parts": parts}
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,7 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Tabular):
     """A result of one packing. Each field of a kind of result has metadata (:func:`stored`).
 
     Attributes
@@ -124,6 +133,9 @@ class Result:
         function as a static method. Empty: no figure.
     exports : str
         ``module:function`` that writes a result for other programs, like :func:`petscjam.export_rheology`.
+    lines : str
+        Axes of the flat table, as ``"A W"``: it has a line for each of their points. Default: the axes of the first
+        array.
     """
 
     origin: Origin
@@ -132,10 +144,85 @@ class Result:
     units: ClassVar[str] = ""
     figure: ClassVar[Any] = ""
     exports: ClassVar[str] = ""
+    lines: ClassVar[str] = ""
 
     def row(self) -> dict[str, float | str]:
         """Return its line of the table, by the heads of the columns."""
         return {}
+
+    def facts(self) -> dict[str, Any]:
+        """Return the packing, the settings and the line of the table, by name."""
+        p = self.origin
+        facts: dict[str, Any] = {"packing": p.name, "disks": p.particles, "pressure": p.pressure}
+        facts |= {"strain": p.strain} if p.strain else {}
+        facts |= {"law": p.damping} if p.damping else {}
+        return {**facts, "pre-stress": p.prestress, **self.row()}
+
+    def flat(self) -> Table:
+        """Return a line for each point of the axes ``lines``, with the packing and the settings on each line.
+
+        Arrays with other axes are left out: :meth:`to_xarray` has them.
+        """
+        p, columns = self.origin, dict[str, Any]()
+        arrays = [item for item in self._arrays() if getattr(self, item.name) is not None]
+        said, sizes = self.lines or next((item.metadata["axes"] for item in arrays), ""), self._sizes()
+        axes = [axis for axis in said.split() if axis in sizes]
+        shape = tuple(sizes[axis] for axis in axes)
+        for key, value in _described(p).items():
+            columns[key] = np.full(shape, value, dtype=object if isinstance(value, str) or value is None else None)
+        units = {"pressure": "stress", "net_force": "pressure*diameter", "diameter": "length"}
+        for item in fields(self):
+            value, own = getattr(self, item.name), item.metadata.get("axes", "").split()
+            free = [k for k, axis in enumerate(own) if axis.isdigit()]
+            named = [axis for axis in own if not axis.isdigit()]
+            if isinstance(value, float | int | str) or (value is not None and own and set(named) <= set(axes)):
+                for name, part in _parts(item, value, free):
+                    columns[name] = np.broadcast_to(_aligned(part, named, axes), shape)
+                    units[name] = item.metadata.get("unit", "")
+        if isinstance(self, Judged):
+            columns["state"] = np.full(shape, self.state, dtype=object)
+        return Table({name: values.ravel() for name, values in columns.items()}, units)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return all arrays as a Dataset of xarray, with units; the attributes are the packing and the settings.
+
+        An axis has the name of the array that has no other axis, or else a letter as in the docstring of the class.
+
+        Raises
+        ------
+        MissingError
+            Without xarray.
+        """
+        xr, sizes = optional("xarray", "tables"), self._sizes()
+        arrays = [item for item in self._arrays() if getattr(self, item.name) is not None]
+        names = {axis: axis for axis in sizes}
+        for item in reversed(arrays):
+            if item.metadata["axes"] in sizes:
+                names[item.metadata["axes"]] = item.name
+        found: dict[str, Any] = {}
+        for item in arrays:
+            axes = item.metadata["axes"].split()
+            dims = [names.get(axis, f"{item.name}_{k}") for k, axis in enumerate(axes)]
+            dims = [f"{dim}_{k}" if dim in dims[:k] else dim for k, dim in enumerate(dims)]
+            found[item.name] = (dims, getattr(self, item.name), {"units": item.metadata["unit"]})
+        attributes = {key: value for key, value in _described(self.origin).items() if value is not None}
+        for item in fields(self):
+            if isinstance(getattr(self, item.name), float | int | str):
+                attributes[item.name] = getattr(self, item.name)
+        return xr.Dataset(found, attrs=attributes)
+
+    def _sizes(self) -> dict[str, int]:
+        arrays = [(getattr(self, item.name), item.metadata["axes"].split()) for item in self._arrays()]
+        return {
+            axis: size
+            for value, axes in arrays
+            if value is not None
+            for axis, size in zip(axes, np.shape(value), strict=True)
+            if not axis.isdigit()
+        }
+
+    def _arrays(self) -> list[Field[Any]]:
+        return [item for item in fields(self) if item.metadata.get("axes")]
 
     @property
     def prestress(self) -> bool:
@@ -194,6 +281,38 @@ class Judged(Result):
     def stable(self) -> bool:
         """Whether ``state`` is ``stable``."""
         return self.state == "stable"
+
+
+def _described(origin: Origin) -> dict[str, Any]:
+    """Return packing and settings by the names of the columns, the law with its numbers."""
+    found = {item.name: getattr(origin, item.name) for item in fields(origin) if item.name != "damping"}
+    if origin.damping is not None:
+        found |= {"law": origin.damping.name, **asdict(origin.damping)}
+    return found
+
+
+def _parts(item: Field[Any], value: Any, free: list[int]) -> Iterator[tuple[str, Any]]:
+    """Yield the columns of a field: one for each entry of the ``free`` axes, and for real and imaginary part."""
+    value = np.asarray(value) if free or not isinstance(value, str) else value
+    if free:
+        entries = list(np.ndindex(*(value.shape[k] for k in free)))
+        parts = item.metadata["parts"] or [f"{item.name}_{'_'.join(str(n + 1) for n in entry)}" for entry in entries]
+        pieces = [np.moveaxis(value, free, range(len(free)))[entry] for entry in entries]
+    else:
+        parts, pieces = [item.name], [value]
+    for name, piece in zip(parts, pieces, strict=True):
+        if np.iscomplexobj(piece):
+            both = () if free else item.metadata["parts"]
+            yield from zip(both or (f"{name}_real", f"{name}_imag"), (piece.real, piece.imag), strict=True)
+        else:
+            yield name, piece
+
+
+def _aligned(values: Any, own: list[str], axes: list[str]) -> Any:
+    """Return ``values`` with axes ``own`` with an axis for each of ``axes``, in their order."""
+    order = [own.index(axis) for axis in axes if axis in own]
+    array = np.asarray(values, dtype=object if isinstance(values, str) else None)
+    return array.transpose(order).reshape([array.shape[own.index(a)] if a in own else 1 for a in axes])
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, SolverError, shown
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.types import Array, per_decade
 from petscjam.geometry.network import rounded
 from petscjam.geometry.packing import Packing
@@ -36,7 +36,7 @@ from petscjam.response.limits import infinite_frequency, limit_or_note, singular
 from petscjam.response.matrices import Pencil, assembled, solving
 from petscjam.response.problem import LinearProblem, describe
 from petscjam.response.spectrum import Spectrum
-from petscjam.rows.damping import DampingLaw, law_or_default
+from petscjam.rows.damping import DampingLaw, law_or_default, with_law
 from petscjam.rows.kinematics import strain_mode
 
 PER_DECADE = 32  # frequencies at which the error bound is tested
@@ -56,11 +56,13 @@ STEPS, FACTOR = (
 Complex = NDArray[np.complex128]
 
 
+@reporting
+@with_law
 def spectrum(
     packing: Packing,
     span: tuple[float, float] = (1e-8, 1e2),
     *,
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     strain: str = "simple-shear",
     prestress: bool = True,
     rtol: float = 1e-6,
@@ -68,7 +70,7 @@ def spectrum(
     comm: Comm | None = None,
     displacements: bool = True,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
     **solver_options: Any,
 ) -> Spectrum:
     """Return G*(ω) at every frequency of ``span`` from a few factorisations, with a bound on its error.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import dia_array
 
 from petscjam.base.errors import InputError, SolverError
-from petscjam.base.progress import Report
+from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 from petscjam.parallel.comm import Comm, agree, resolve, total
@@ -29,7 +29,7 @@ from petscjam.response.matrices import Pencil, assembled
 from petscjam.response.modes import PROVED, check, everywhere, lowest_modes, probe, signs
 from petscjam.response.origin import Result, stored
 from petscjam.response.problem import LinearProblem, describe
-from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form
+from petscjam.rows.damping import DampingLaw, law_or_default, viscous_form, with_law
 from petscjam.rows.kinematics import displacements, elastic_form, strain_mode
 
 if TYPE_CHECKING:
@@ -89,16 +89,18 @@ class RelaxationModes(Result):
         }
 
 
+@reporting
+@with_law
 def relaxation_modes(
     packing: Packing,
     count: int = 50,
     *,
-    damping: DampingLaw | None = None,
+    damping: DampingLaw | str | None = None,
     prestress: bool = True,
     strain: str = "simple-shear",
     comm: Comm | None = None,
     name: str = "packing",
-    progress: Report | None = None,
+    progress: Progress | None = None,
 ) -> RelaxationModes:
     """Return the ``count`` slowest relaxations of a packing, and prove that none was missed.
 

@@ -58,11 +58,11 @@ class ComplexModulus(Judged):
     """
 
     omega: Array = field(metadata=stored("1/tau1", "W", finite=True))
-    values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
+    values: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True, parts=("G_storage", "G_loss")))
     residuals: Array = field(metadata=stored("1", "W"))
     power_balance: Array = field(metadata=stored("1", "W"))
     errors: Array = field(metadata=stored(axes="W"))
-    part_errors: Array = field(metadata=stored(axes="2 W"))
+    part_errors: Array = field(metadata=stored(axes="2 W", parts=("error_storage", "error_loss")))
     G0: float = field(metadata=stored("stress"))
     eta0: float = field(metadata=stored("stress*tau1"))
     G_inf: float = field(metadata=stored("stress"))
@@ -79,6 +79,11 @@ class ComplexModulus(Judged):
     settings: ClassVar[tuple[str, ...]] = ("strain", "damping")
     figure: ClassVar[str] = "petscjam.plots.modulus:moduli_figure"
     exports: ClassVar[str] = "petscjam.io.rheology:export_rheology"
+
+    def row(self) -> dict[str, float | str]:
+        """Return its line of the table."""
+        limits = {"G0": self.G0, "eta0": self.eta0, "G_inf": self.G_inf, "eta_inf": self.eta_inf}
+        return {"frequencies": str(len(self.omega)), **limits, "state": self.state}
 
     @property
     def inertia(self) -> str:

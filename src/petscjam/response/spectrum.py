@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, SolverError
-from petscjam.base.types import Array
+from petscjam.base.types import Array, numbers
 from petscjam.geometry.packing import Packing
 from petscjam.response.origin import Judged, frequencies, stored
 from petscjam.rows.damping import StokesDrag
@@ -99,7 +99,7 @@ class Spectrum(Judged):
     nodes: Array = field(metadata=stored("1/tau1", "F", finite=True))
     gains: Complex = field(metadata=stored(axes="F"))
     gain_errors: Array = field(metadata=stored(axes="F"))
-    limits: Array = field(metadata=stored(axes="2 2"))
+    limits: Array = field(metadata=stored(axes="2 2", parts=("G0", "eta0", "G_inf", "eta_inf")))
     limit_errors: Array = field(metadata=stored(axes="2 2"))
     forcing: tuple[float, float] = field(metadata=stored(axes="2", finite=True))
     affine: tuple[float, float] = field(metadata=stored(axes="2", finite=True))
@@ -470,9 +470,7 @@ def _diagonal(K: Array, B: Array, omega: float) -> tuple[Array, Array, Array]:
 
 def positive(omegas: ArrayLike) -> Array:
     """Return frequencies of any shape, checked."""
-    omega = np.asarray(omegas, dtype=float)
-    frequencies(omega, empty=True)
-    return omega
+    return frequencies(omegas, empty=True).reshape(np.shape(omegas))
 
 
 def _relative(bound: Array, size: Array) -> Array:
@@ -482,7 +480,7 @@ def _relative(bound: Array, size: Array) -> Array:
 
 
 def _times(t: ArrayLike) -> Array:
-    t = np.asarray(t, dtype=float)
+    t = numbers("t", t).reshape(np.shape(t))
     bad = ~(t >= 0)
     if bad.any():
         raise InputError(f"t: times must be ≥ 0, not {np.atleast_1d(t)[np.argmax(bad)]:g}")

@@ -6,9 +6,11 @@ its options, with their ``help`` as help texts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import ClassVar
+from functools import wraps
+from inspect import signature
+from typing import ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +19,9 @@ from petscjam.base import ranges
 from petscjam.base.errors import InputError, shown
 from petscjam.geometry.network import ContactNetwork
 from petscjam.rows.kinematics import Form, StrainMode, form
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -118,12 +123,38 @@ class StokesDrag(DampingLaw):
 LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
 
 
-def law_or_default(damping: DampingLaw | None) -> DampingLaw:
-    """Return ``damping``; default: contact damping with β = 1 and rotations."""
+def law_or_default(damping: DampingLaw | str | None) -> DampingLaw:
+    """Return ``damping``, or the law of this name; default: contact damping with β = 1 and rotations."""
     law = ContactDamping() if damping is None else damping
+    if isinstance(law, str) and law in LAWS:
+        return LAWS[law]()
     if not isinstance(law, DampingLaw):
-        raise InputError(f"damping: {shown(law)} is not a law; take ContactDamping(…) or StokesDrag(…)")
+        names = ", ".join(f'"{name}"' for name in LAWS)
+        raise InputError(
+            f"damping: {shown(law)} is not a law; write ContactDamping(beta=0.1), StokesDrag(…) or a name: {names}"
+        )
     return law
+
+
+def with_law(function: Callable[P, R]) -> Callable[P, R]:
+    """Let ``function`` refuse the fields of a law as arguments: they are arguments of the law.
+
+    Raises
+    ------
+    InputError
+        It says what to write instead.
+    """
+    own = signature(function).parameters
+
+    @wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        for law in LAWS.values():
+            for name in {item.name for item in fields(law)} & (kwargs.keys() - own.keys()):
+                where = "damping" if "damping" in own else "model"
+                raise InputError(f"{name} belongs to the law: write {where}={law.__name__}({name}={kwargs[name]!r})")
+        return function(*args, **kwargs)
+
+    return checked
 
 
 def viscous_form(
