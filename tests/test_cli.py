@@ -608,7 +608,7 @@ def test_export_of_several_results_asks_which(packing, tmp_path, capfd):
     out = tmp_path / "g.h5"
     main(["moduli", str(packing), "--prestress-both", "--omega", "1,2", "-o", str(out)])
     capfd.readouterr()
-    message = refused_lines(capfd, "export", out)
+    message = refused_lines(capfd, "export", out, "--to", "tts")
     assert "without pre-stress" in message
     name = next(name for name in pj.read_moduli(out) if "without" in name)
     assert main(["export", str(out), "--group", name]) == 0

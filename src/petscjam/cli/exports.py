@@ -1,4 +1,4 @@
-"""Exports: of packings, of results for rheologists, of sheared runs."""
+"""Exports: packings for other programs, moduli for rheologists, input for LAMMPS, and flat tables of anything."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petscjam.parallel.comm import Comm, on_root
 
 
 def export(options: argparse.Namespace, comm: Comm) -> None:
-    """Export a packing, a sheared run, or a result for rheologists.
+    """Export a packing, a sheared run, results, or a folder of them.
 
     Parameters
     ----------
@@ -24,13 +24,12 @@ def export(options: argparse.Namespace, comm: Comm) -> None:
     comm : Comm
     """
     writers = {"packing": _export_packing, "run": _export_run, "results": _export_results}
+    writers |= dict.fromkeys(("library", "runs"), _export_folder)
 
     def work() -> None:
         from petscjam.io.kinds import recognise
 
         kind = recognise(options.file)
-        if kind not in writers:
-            raise InputError(f"{options.file}: is a folder, not a file")
         if kind != "run" and options.strain is not None:
             raise InputError("export: --strain goes with a sheared run")
         others = options.group or options.average or options.omega is not None or options.time is not None
@@ -49,7 +48,10 @@ def _target(options: argparse.Namespace, default: str, known: Collection[str] = 
     fmt = format_of(options.output or "", options.to, default)
     if known and fmt not in known:
         raise InputError(f"export: {options.file} is a {name}; its formats are {', '.join(known)}, not {fmt}")
-    target: Path = options.output or options.file.with_suffix(f".{fmt}")
+    here: Path = options.file
+    target: Path = options.output or (
+        Path(f"{here.absolute()}.{fmt}") if here.is_dir() else here.with_suffix(f".{fmt}")
+    )
     if fmt != "lammps":  # a folder
         check_output(target, overwrite=options.overwrite, inputs=[options.file])
     return fmt, target
@@ -58,8 +60,12 @@ def _target(options: argparse.Namespace, default: str, known: Collection[str] = 
 def _export_packing(options: argparse.Namespace) -> Path:
     from petscjam.io.exporters import FORMATS, export_packing
     from petscjam.io.importers import import_packing
+    from petscjam.io.tidy import WRITERS, read_table, write_table
 
-    fmt, target = _target(options, "xyz", FORMATS, "packing")
+    fmt, target = _target(options, "xyz", [*FORMATS, *WRITERS], "packing")
+    if fmt in WRITERS:
+        write_table(read_table(options.file), target, fmt, overwrite=options.overwrite)
+        return target
     export_packing(import_packing(options.file), target, fmt, overwrite=options.overwrite)
     return target
 
@@ -68,19 +74,29 @@ def _export_results(options: argparse.Namespace) -> Path:
     from petscjam.analysis.statistics import average
     from petscjam.io.results import read_results
     from petscjam.io.rheology import export_average
+    from petscjam.io.tidy import WRITERS, of_results, write_table
 
     results = read_results(options.file)
     first = next(iter(results.values()), None)
-    if first is None or not first.exports:
-        what = "no results yet" if first is None else f"{type(first).__name__}, of which there is no export"
-        raise InputError(f"{options.file}: holds {what}")
-    fmt, target = _target(options, "csv")
+    if first is None:
+        raise InputError(f"{options.file}: holds no results yet")
+    one = options.group in results or (options.group is None and len(results) == 1) or options.omega is not None
+    known = () if first.exports else tuple(WRITERS)
+    fmt, target = _target(options, "csv", known, f"file of {type(first).__name__}")
     if options.average:
+        if not first.exports:
+            raise InputError(f"export: --average goes with moduli, not with {type(first).__name__}")
         if fmt != "csv":
             raise InputError(f"export: --average is written as csv, not as {fmt}")
         if options.time is not None:
             raise InputError("export: --time goes with --to gt, not with --average")
         export_average(average(_matching(options, results), options.omega), target, overwrite=options.overwrite)
+        return target
+    if fmt == "parquet" or (fmt == "csv" and not (first.exports and one)):
+        for name in ("omega", "time"):
+            if getattr(options, name) is not None:
+                raise InputError(f"export: --{name} goes with one modulus as csv, tts or gt")
+        write_table(of_results(_matching(options, results)), target, fmt, overwrite=options.overwrite)
         return target
     with naming(options.file):
         result = _one_of(options, results)
@@ -93,12 +109,16 @@ def _export_results(options: argparse.Namespace) -> Path:
 
 def _export_run(options: argparse.Namespace) -> Path:
     from petscjam.io.lammps_shear import write_lammps
+    from petscjam.io.tidy import write_table
     from petscjam.md.result import export_csv, read
 
-    fmt, target = _target(options, "csv", ("csv", "lammps"), "sheared run")
+    fmt, target = _target(options, "csv", ("csv", "parquet", "lammps"), "sheared run")
     if options.strain is not None and fmt != "lammps":
         raise InputError("export: --strain goes with --to lammps")
     run = read(options.file)
+    if fmt == "parquet":
+        write_table(run.flat(), target, fmt, overwrite=options.overwrite)
+        return target
     if fmt == "csv":
         export_csv(run, target, overwrite=options.overwrite)
         return target
@@ -113,6 +133,14 @@ def _export_run(options: argparse.Namespace) -> Path:
         dt=None if divided or dt > model.step(None, "heun") else dt,
         overwrite=options.overwrite,
     )
+    return target
+
+
+def _export_folder(options: argparse.Namespace) -> Path:
+    from petscjam.io.tidy import WRITERS, read_table, write_table
+
+    fmt, target = _target(options, "csv", WRITERS, "folder")
+    write_table(read_table(options.file), target, fmt, overwrite=options.overwrite)
     return target
 
 

@@ -170,16 +170,18 @@ def _import(known: Verbs) -> None:
 
 
 def _export(known: Verbs) -> None:
-    p = add(known, "export", exports.export, "write a packing, a modulus or a sheared run for other programs")
-    p.add_argument("file", type=path, metavar="FILE")
+    text = "write packings, results and sheared runs for other programs, or as one flat table"
+    p = add(known, "export", exports.export, text)
+    p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
     text = (
-        "of a packing: xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and freud), h5md "
-        "(for MDAnalysis); of a modulus: csv (omega, G', G'' and their errors), tts (omega, G', G'' for "
-        "RepTate), gt (t, G(t) for RepTate); of a sheared run: csv (time series), lammps (a folder with the "
-        "input of the same disks); default: the extension of OUT, else xyz or csv"
+        "of anything: csv or parquet, one flat table (a folder: all results, packings or runs in it); of a packing: "
+        "xyz (extended XYZ, for OVITO and ASE), gsd (for HOOMD-blue, OVITO and freud), h5md (for MDAnalysis); of one "
+        "modulus: csv (omega, G', G'' and their errors), tts (omega, G', G'' for RepTate), gt (t, G(t) for RepTate); "
+        "of a sheared run: lammps (a folder with the input of the same disks); default: the extension of OUT, else "
+        "xyz of a packing and csv"
     )
     p.add_argument("--to", metavar="FORMAT", help=text)
-    text = "which modulus of a file with several; with --average a pattern, as 'N1024*'"
+    text = "which result of a file with several; in a table and with --average a pattern, as 'N1024*'"
     p.add_argument("--group", metavar="NAME", help=text)
     text = "mean over packings, with scatter and standard error; unstable packings are left out"
     p.add_argument("--average", action="store_true", help=text)

@@ -160,6 +160,7 @@ ENDINGS = {
     ".h5": "h5md",
     ".hdf5": "h5md",
     ".csv": "csv",
+    ".parquet": "parquet",
     ".tts": "tts",
     ".gt": "gt",
 }
