@@ -28,6 +28,7 @@ from .io.results import read_spectrum as read_spectrum
 from .io.results import write_spectrum as write_spectrum
 from .io.rheology import export_rheology as export_rheology
 from .io.tidy import read_table as read_table
+from .plots.report import write_report as write_report
 from .preparation.certify import certify as certify
 from .preparation.library import prepare_library as prepare_library
 from .preparation.library import read_library as read_library

@@ -109,7 +109,7 @@ def build_parser() -> Parser:
     for name, kind in KINDS.items():
         if kind.text:
             add(known, kind.verb or name, analyses.analyse, kind.text, RANKS).declare = partial(declare, kind=name)
-    for verb in (_shear, _ramp, _figure, _plot):
+    for verb in (_shear, _ramp, _figure, _plot, _report):
         verb(known)
     return parser
 
@@ -291,6 +291,13 @@ def _plot(known: Verbs) -> None:
         required=False,
         resume=False,
     )
+
+
+def _report(known: Verbs) -> None:
+    text = "write one page of HTML on a file or a folder: results, certificates, figures, numbers to download"
+    p = add(known, "report", verbs.report, text)
+    p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
+    output(p, "REPORT.html", "page, complete in itself", resume=False)
 
 
 def declare(p: Parser, kind: str) -> None:

@@ -1,4 +1,4 @@
-"""The verbs prepare, info, import and plot: read, call, write, print."""
+"""The verbs prepare, info, import, plot and report: read, call, write, print."""
 
 from __future__ import annotations
 
@@ -215,6 +215,25 @@ def _judged(packing: Packing, file: Path) -> Packing:
         if said := imbalance(packing):
             warn(f": the forces do not balance: {said}; --relax minimises the energy")
     return packing
+
+
+def report(options: argparse.Namespace, comm: Comm) -> None:
+    """Write a page of HTML on a file or a folder.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    comm : Comm
+    """
+
+    def work() -> None:
+        from petscjam.plots.report import write_report
+
+        for text in write_report(options.file, options.output, overwrite=options.overwrite):
+            print(f"petscjam: warning: left out: {text}", file=sys.stderr, flush=True)
+        print(options.output)
+
+    on_root(comm, work)
 
 
 def plot(options: argparse.Namespace, comm: Comm) -> None:
