@@ -33,7 +33,7 @@ pytestmark = pytest.mark.parallel(nprocs=1)
 VERBS = build_parser()._subparsers._group_actions[0].choices
 for parser in VERBS.values():
     parser.complete()
-GIVEN = ("output", "config", "help", "start", "parameters")  # files, and what does not compute
+GIVEN = ("output", "config", "help", "start", "parameters", "log", "verbose")  # files, and what does not compute
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ QUICK = {
     "shear": "--particles=16 --rate=1e-2 --strain=0.02",
     "ramp": "--particles=16 --rate=1e-2 --to=2e-2 --kappa=0.1",
 }
-INPUTS = {verb: ["packing", "modulus", "run"] for verb in ("info", "export", "plot")}
+INPUTS = {verb: ["packing", "modulus", "run"] for verb in ("info", "export", "plot", "report")}
 CHILD = """
 import json, signal, sys
 from petscjam.cli import main
@@ -96,6 +96,7 @@ for words in json.loads(sys.argv[1]):
 def command(verb, options, source, output):
     """The command line; options that are given last count more."""
     given = [] if verb in ("prepare", "shear", "ramp") else [str(source)]
+    output = output.with_suffix(".html") if verb == "report" else output
     here = [] if verb == "info" else ["-o", str(output)]
     return [verb, *given, *QUICK.get(verb, "").split(), *options, *here]
 

@@ -195,7 +195,7 @@ def diameters(text: str) -> dict[str, float]:
     return found
 
 
-def engine(parser: argparse.ArgumentParser) -> None:
+def engine(parser: argparse._ActionsContainer) -> None:
     """Add the option of the engine of sheared disks."""
     text = "of sheared disks: cpu, or cuda: an NVIDIA GPU, with many runs at a time (default cpu)"
     parser.add_argument("--engine", default="cpu", metavar="NAME", help=text)

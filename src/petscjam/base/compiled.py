@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any, TypeVar, cast
 
 from petscjam.base.errors import InputError, shown
+from petscjam.base.progress import compiling
 
 try:
     import numba
@@ -46,8 +47,8 @@ def njit(**options: Any) -> Callable[[T], T]:
                 _warn(error)
             else:
                 kept = loop._cache
-                kept.load_overload = _forgiving(kept.load_overload, kept.flush)
-                kept.save_overload = _forgiving(kept.save_overload, kept.flush)
+                kept.load_overload = _loading(_forgiving(kept.load_overload, kept.flush))
+                kept.save_overload = _saving(_forgiving(kept.save_overload, kept.flush))
         return loop
 
     return decorate
@@ -104,6 +105,28 @@ def _forgiving(work: Callable[..., Any], clear: Callable[[], None]) -> Callable[
             return None
 
     return tried
+
+
+def _loading(load: Callable[..., Any]) -> Callable[..., Any]:
+    """Note the start of a compilation: there is nothing to load."""
+
+    def loading(*arguments: Any) -> Any:
+        found = load(*arguments)
+        if found is None:
+            compiling(begins=True)
+        return found
+
+    return loading
+
+
+def _saving(save: Callable[..., Any]) -> Callable[..., Any]:
+    """Note the end of a compilation."""
+
+    def saving(*arguments: Any) -> Any:
+        compiling(begins=False)
+        return save(*arguments)
+
+    return saving
 
 
 def _warn(error: Exception) -> None:

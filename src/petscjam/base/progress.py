@@ -14,6 +14,8 @@ Progress: TypeAlias = Report | Any  # or True: see reporting
 P = ParamSpec("P")
 R = TypeVar("R")
 LINE_EVERY = 10.0  # seconds between lines of a log
+_shown: list[str] = []  # labels of the reports that are shown now
+_quiet: list[bool] = []
 
 
 def part(report: Report, k: int, n: int, label: str = "") -> Report:
@@ -40,13 +42,52 @@ def progress(label: str, *, show: bool) -> Iterator[Report]:
         Prefix of each text.
     show : bool
     """
-    if not show:
+    if not show or _quiet:
         yield lambda fraction, text: None
-    elif sys.stderr.isatty():
-        with _bar(label) as report:
-            yield report
-    else:
-        yield _lines(label)
+        return
+    _shown.append(label)
+    try:
+        if sys.stderr.isatty():
+            with _bar(label) as report:
+                yield report
+        else:
+            yield _lines(label)
+    finally:
+        _shown.pop()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Show no progress in the block."""
+    _quiet.append(True)
+    try:
+        yield
+    finally:
+        _quiet.pop()
+
+
+class _Compiling:
+    """Time of compilation in this process, which is no part of an estimate of the time left."""
+
+    said = False
+    depth = 0
+    since = 0.0
+    seconds = 0.0
+
+
+def compiling(begins: bool) -> None:
+    """Note that the compilation of a loop begins or ends; the first one is announced if progress is shown."""
+    c = _Compiling
+    if begins:
+        if _shown and not c.said:
+            c.said = True
+            print(f"{_shown[-1]}: compiling for this processor, once, about half a minute", file=sys.stderr, flush=True)
+        c.since = c.since if c.depth else time.monotonic()
+        c.depth += 1
+    elif c.depth:
+        c.depth -= 1
+        if not c.depth:
+            c.seconds += time.monotonic() - c.since
 
 
 def reporting(function: Callable[P, R]) -> Callable[P, R]:
@@ -87,7 +128,7 @@ def _bar(label: str) -> Iterator[Report]:
 
 def _lines(label: str) -> Report:
     start = time.monotonic()
-    last = start
+    last, compiled = start, _Compiling.seconds
 
     def report(fraction: float, text: str) -> None:
         nonlocal last
@@ -96,7 +137,8 @@ def _lines(label: str) -> Report:
             return
         last = now
         elapsed = now - start
-        left = f", {elapsed * (1 / fraction - 1):.0f} s left" if 0 < fraction < 1 else ""
+        worked = elapsed - (_Compiling.seconds - compiled)
+        left = f", {worked * (1 / fraction - 1):.0f} s left" if 0 < fraction < 1 else ""
         print(f"{label}: {100 * fraction:.0f} %, {elapsed:.0f} s{left}; {text}", file=sys.stderr, flush=True)
 
     return report

@@ -75,6 +75,7 @@ def run(argv: list[str], comm: Comm) -> int:
     comm : Comm
     """
     from petscjam.cli.config import misspelt
+    from petscjam.cli.journal import kept
     from petscjam.cli.parser import build_parser
     from petscjam.parallel.petsc import set_options
 
@@ -86,7 +87,8 @@ def run(argv: list[str], comm: Comm) -> int:
         options, unknown = parser.parse_known_args(join_negative(argv[:cut]))
     if unknown:
         raise InputError(misspelt(unknown[0], options.known))
-    options.work(options, comm)
+    with kept(argv, options, comm):
+        options.work(options, comm)
     return 0
 
 

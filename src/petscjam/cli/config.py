@@ -53,7 +53,7 @@ def _words(
     for group in exclusive:
         names = {name for action in group._group_actions for name in action.option_strings}
         excluded |= names if names & given else set()
-    known = [name[2:].replace("-", "_") for name in options if name not in ("-h", "--help", "--config", "-o")]
+    known = [name[2:].replace("-", "_") for name in options if name[:2] == "--" and name not in ("--help", "--config")]
     words = []
     for key, value in content.items():
         option = current(f"--{key.replace('_', '-')}", options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
@@ -29,7 +30,9 @@ from petscjam.base.arguments import (
 from petscjam.base.errors import InputError
 from petscjam.base.versions import release
 from petscjam.cli import analyses, exports, shearing, verbs
+from petscjam.cli.completion import Completion
 from petscjam.cli.config import settings
+from petscjam.cli.examples import EXAMPLES
 from petscjam.cli.laws import option
 from petscjam.cli.renamed import current
 from petscjam.figures import FIGURES
@@ -47,10 +50,18 @@ Work = Callable[[argparse.Namespace, Comm], None]
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 RANKS = "Runs in parallel: mpirun -n R petscjam {verb} …"
+STATUS = "Exit status: 0 done, 2 bad input, 130 and 143 stopped by a signal, 1 anything else."
 
 
 class Help(argparse.HelpFormatter):
     """Help with the range of each number."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Keep lines that begin with two spaces: commands."""
+        return "\n".join(
+            line if line.startswith("  ") else super(Help, self)._fill_text(line, width, indent)
+            for line in text.splitlines()
+        )
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         known = f"; {action.type.range}" if isinstance(action.type, Within) else ""
@@ -61,15 +72,19 @@ class Parser(argparse.ArgumentParser):
     """An argument parser that also reads a file of settings; each error is one line."""
 
     declare: Callable[[Parser], None] | None = None  # adds options when the verb is used
+    ended = True  # whether it has the options of every verb
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**{"allow_abbrev": False, "formatter_class": Help, **kwargs})
 
     def complete(self) -> None:
-        """Add the options of ``declare``."""
+        """Add the options of ``declare``, and those of every verb."""
         if self.declare:
             declare, self.declare = self.declare, None
             declare(self)
+        if not self.ended:
+            self.ended = True
+            messages(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Replace old names, and put the options of ``--config FILE`` first: of two equal options the last counts.
@@ -80,7 +95,10 @@ class Parser(argparse.ArgumentParser):
         namespace : argparse.Namespace, optional
         """
         self.complete()
+        args = list(sys.argv[1:] if args is None else args)
         if self._subparsers:
+            if args[:1] == ["help"]:
+                args = [*args[1:2], "--help"]
             known = list(self._subparsers._group_actions[0].choices or ())
             args = [*(current(verb, known) for verb in args[:1]), *args[1:]]
         else:
@@ -99,10 +117,12 @@ def build_parser() -> Parser:
     parser = Parser(
         prog="petscjam",
         description="Linear response of jammed packings of soft disks, at every frequency.",
-        epilog="PETSc options go after --, e.g. … -- -log_view. Units: stiffness k = 1, mean diameter d = 1, "
-        "time tau1 = 1, unless a packing brings its own length unit.",
+        epilog="petscjam help VERB describes a verb. PETSc options go after --, e.g. … -- -log_view. Units: stiffness "
+        "k = 1, mean diameter d = 1, time tau1 = 1, unless a packing brings its own length unit.\n" + STATUS,
     )
     parser.add_argument("--version", action="version", version=f"petscjam {release('petscjam')}")
+    text = 'print the completion of verbs, options and files for a shell: eval "$(petscjam --completion bash)"'
+    parser.add_argument("--completion", action=Completion, choices=("bash", "zsh"), help=text)
     known = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
     for verb in (_prepare, _info, _import, _export, _moduli):
         verb(known)
@@ -141,8 +161,6 @@ def _prepare(known: Verbs) -> None:
     p.add_argument("--threads", type=Within(integer, ranges.THREADS), metavar="T", help=text)
     text = f"evaluations of the force for each packing (default {BUDGET})"
     p.add_argument("--budget", type=Within(integer, ranges.BUDGET), default=BUDGET, metavar="E", help=text)
-    text = 'settings by the names of these options, as pressure = "1e-2:1e-4:9"; the command line counts more'
-    p.add_argument("--config", type=path, metavar="FILE.toml", help=text)
     output(p, "FILE_OR_FOLDER", "packing (HDF5, H5MD layout), or the folder for several")
 
 
@@ -154,6 +172,7 @@ def _info(known: Verbs) -> None:
         "print the content of a packing, a result, a sheared run, or a folder of packings or of runs",
     )
     p.add_argument("file", type=path, metavar="FILE_OR_FOLDER")
+    p.add_argument("--json", action="store_true", help="as JSON, for programs; numbers with all digits")
     reading(p)
 
 
@@ -227,31 +246,33 @@ def _moduli(known: Verbs) -> None:
 def _shear(known: Verbs) -> None:
     text = "shear massive disks at a constant rate, in steps of the rate, or in oscillation (units ds, m, tau_e)"
     p = add(known, "shear", shearing.shear, text, RANKS)
+    flow = p.add_argument_group("strain rate")
     text = "strain rates, in 1/tau_e: a list A,B,… or A:B:N (default 1e-4)"
-    p.add_argument("--rate", type=Within(numbers, ranges.RATE), metavar="X,…", help=text)
+    flow.add_argument("--rate", type=Within(numbers, ranges.RATE), metavar="X,…", help=text)
     text = "amount of shear strain (default 10)"
-    p.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help=text)
+    flow.add_argument("--strain", type=Within(number, ranges.STRAIN), metavar="X", help=text)
     text = "continue at other strain rates; 0:TIME is rest, for a time in tau_e"
-    p.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…", help=text)
+    flow.add_argument("--then", type=pairs, metavar="RATE:STRAIN,…", help=text)
     text = (
         "effect of a change of the strain rate: scale velocities and spins, add the change of the linear "
         "profile, or move only the boundary (default scale)"
     )
-    p.add_argument("--bulk", choices=BULK, help=text)
+    flow.add_argument("--bulk", choices=BULK, help=text)
     text = "shear as gamma = AMPLITUDE sin(OMEGA t) instead, OMEGA in 1/tau_e"
-    p.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES", help=text)
+    flow.add_argument("--oscillate", type=triple, metavar="AMPLITUDE:OMEGA:CYCLES", help=text)
     disks(p)
 
 
 def _ramp(known: Verbs) -> None:
     text = "increase the strain rate in small steps, and decrease it again (VOT eqs. 38-41)"
     p = add(known, "ramp", shearing.ramp, text, RANKS)
+    flow = p.add_argument_group("strain rate")
     text = "first strain rate, in 1/tau_e (default 1e-6)"
-    p.add_argument("--rate", type=Within(numbers, ranges.RATE_SIZE), metavar="X,…", help=text)
+    flow.add_argument("--rate", type=Within(numbers, ranges.RATE_SIZE), metavar="X,…", help=text)
     text = "highest strain rate, in 1/tau_e (default 1e-3)"
-    p.add_argument("--to", type=Within(number, ranges.RATE_SIZE), default=1e-3, metavar="X", help=text)
+    flow.add_argument("--to", type=Within(number, ranges.RATE_SIZE), default=1e-3, metavar="X", help=text)
     text = "decades in tau_e: the rate changes by 10^X every tau_e (default 1e-5)"
-    p.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X", help=text)
+    flow.add_argument("--kappa", type=Within(number, ranges.KAPPA), default=1e-5, metavar="X", help=text)
     disks(p)
 
 
@@ -354,16 +375,35 @@ def packings(p: Parser) -> None:
 
 def disks(p: Parser) -> None:
     """Add the options of disks, model and integrator."""
+    law = p.add_argument_group("model and forces")
     text = f"{', '.join(MODELS)} (default CD_rot); or a damping law, by the options below"
-    p.add_argument("--model", type=lambda text: text.split(","), metavar="NAME,…", help=text)
-    damping(p)
-    text = "numbers of disks, even (default 1024)"
-    p.add_argument("--particles", type=Within(whole, ranges.SHEARED), metavar="N,…", help=text)
-    text = "packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)"
-    p.add_argument("--phi", type=Within(evenly, ranges.PHI), metavar="X,…", help=text)
+    law.add_argument("--model", type=lambda text: text.split(","), metavar="NAME,…", help=text)
+    damping(law)
     text = "elasticity of collisions m/(kd tau_e): a list A,B,… or A:B:N (default 1)"
-    p.add_argument("--Q", type=Within(numbers, ranges.Q), default="1", metavar="X,…", help=text)
-    either = p.add_mutually_exclusive_group()
+    law.add_argument("--Q", type=Within(numbers, ranges.Q), default="1", metavar="X,…", help=text)
+    text = "exponent of the repulsion V ~ overlap^X (default 2, or that of --start)"
+    law.add_argument("--exponent", type=Within(number, ranges.EXPONENT), metavar="X", help=text)
+    text = "mass of every disk, in m; the friction coefficient m/(Q tau_e) does not change (default 1)"
+    law.add_argument("--mass", type=Within(number, ranges.MASS), default=1.0, metavar="X", help=text)
+    text = "Stokes drag on disks, in m/tau_e: force -X times the velocity relative to the affine flow (default 0)"
+    law.add_argument("--stokes-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
+    text = (
+        "Stokes drag on their rotation, in m ds^2/tau_e: torque -X times the spin relative to that of the "
+        "flow (default 0)"
+    )
+    law.add_argument("--rotational-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
+    text = "exponent alpha of nonlinear drag of contacts: force ~ v^X (BT eq. 9), up to 1 (default 1: linear)"
+    law.add_argument("--drag-exponent", type=Within(number, ranges.THINNING), default=1.0, metavar="X", help=text)
+    text = "speed at which nonlinear drag is the linear one, in ds/tau_e (default d Q, d the mean diameter)"
+    law.add_argument("--drag-speed", type=Within(number, ranges.SPEED), metavar="X", help=text)
+    text = "speed below which nonlinear drag is linear, in ds/tau_e (default 0.01 d times the strain rate)"
+    law.add_argument("--drag-cutoff", type=Within(number, ranges.SPEED), metavar="X", help=text)
+    start = p.add_argument_group("disks and start")
+    text = "numbers of disks, even (default 1024)"
+    start.add_argument("--particles", type=Within(whole, ranges.SHEARED), metavar="N,…", help=text)
+    text = "packing fractions: a list A,B,… or A:B:N, evenly (default 0.82)"
+    start.add_argument("--phi", type=Within(evenly, ranges.PHI), metavar="X,…", help=text)
+    either = start.add_mutually_exclusive_group()
     either.add_argument("--seed", type=Within(integer, ranges.SEED), help="seed of the random start (default 1)")
     text = "many seeds: A to B, both counted"
     either.add_argument("--seeds", type=Within(seeds, ranges.SEED), metavar="A:B", help=text)
@@ -371,51 +411,36 @@ def disks(p: Parser) -> None:
         "start from the end of a run, from a packing, or from the folder of a LAMMPS run (export --to "
         "lammps), not from random positions; several: a run from each"
     )
-    p.add_argument("--start", type=path, nargs="+", metavar="FILE", default=[], help=text)
+    start.add_argument("--start", type=path, nargs="+", metavar="FILE", default=[], help=text)
     text = "change cell and positions of --start to --phi; radii and peculiar velocities stay"
-    p.add_argument("--rescale", action="store_true", help=text)
+    start.add_argument("--rescale", action="store_true", help=text)
     text = (
         "make two shear bands of the start, the Bagnoldian one below: packing fraction and strain rate (1/tau_e) of "
         "each; they must average to --phi and, within 20 percent, to --rate"
     )
-    p.add_argument("--start-bands", type=pairs, metavar="PHI_B:RATE_B,PHI_N:RATE_N", help=text)
+    start.add_argument("--start-bands", type=pairs, metavar="PHI_B:RATE_B,PHI_N:RATE_N", help=text)
+    step = p.add_argument_group("time steps")
     text = "heun (VOT eqs. 21-24) or single: one evaluation of the forces in each step (default heun)"
-    p.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
+    step.add_argument("--integrator", choices=INTEGRATORS, default="heun", help=text)
     text = (
         "time step in tau_e, divided if the contacts require it (default: one with an error of the energy budget "
         "below 1 percent, at most 0.05 for a mass of 1)"
     )
-    p.add_argument("--dt", type=Within(number, ranges.DT), metavar="X", help=text)
-    text = "exponent of the repulsion V ~ overlap^X (default 2, or that of --start)"
-    p.add_argument("--exponent", type=Within(number, ranges.EXPONENT), metavar="X", help=text)
-    text = "Stokes drag on disks, in m/tau_e: force -X times the velocity relative to the affine flow (default 0)"
-    p.add_argument("--stokes-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
-    text = (
-        "Stokes drag on their rotation, in m ds^2/tau_e: torque -X times the spin relative to that of the "
-        "flow (default 0)"
-    )
-    p.add_argument("--rotational-drag", type=Within(number, ranges.DRAG), default=0.0, metavar="X", help=text)
-    text = "mass of every disk, in m; the friction coefficient m/(Q tau_e) does not change (default 1)"
-    p.add_argument("--mass", type=Within(number, ranges.MASS), default=1.0, metavar="X", help=text)
-    text = "exponent alpha of nonlinear drag of contacts: force ~ v^X (BT eq. 9), up to 1 (default 1: linear)"
-    p.add_argument("--drag-exponent", type=Within(number, ranges.THINNING), default=1.0, metavar="X", help=text)
-    text = "speed at which nonlinear drag is the linear one, in ds/tau_e (default d Q, d the mean diameter)"
-    p.add_argument("--drag-speed", type=Within(number, ranges.SPEED), metavar="X", help=text)
-    text = "speed below which nonlinear drag is linear, in ds/tau_e (default 0.01 d times the strain rate)"
-    p.add_argument("--drag-cutoff", type=Within(number, ranges.SPEED), metavar="X", help=text)
+    step.add_argument("--dt", type=Within(number, ranges.DT), metavar="X", help=text)
     text = "threads of a run; useful from 10000 disks on (default 1)"
-    p.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
-    text = "keep the angles by which the disks have turned: in the file and in the frames"
-    p.add_argument("--angles", action="store_true", help=text)
-    engine(p)
+    step.add_argument("--threads", type=Within(integer, ranges.THREADS), default=1, metavar="T", help=text)
+    engine(step)
+    kept = p.add_argument_group("what is stored")
     text = "tau_e between rows of the time series, at least 50 steps (default a thousandth of the run; ramp: 1000)"
-    p.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
+    kept.add_argument("--row-time", type=Within(number, ranges.ROW_TIME), metavar="X", help=text)
     text = "number of snapshots for OVITO, in the folder OUT.frames (default 0)"
-    p.add_argument("--frames", type=Within(integer, ranges.FRAMES), default=0, metavar="K", help=text)
+    kept.add_argument("--frames", type=Within(integer, ranges.FRAMES), default=0, metavar="K", help=text)
+    text = "keep the angles by which the disks have turned: in the file and in the frames"
+    kept.add_argument("--angles", action="store_true", help=text)
     output(p, "RUN.h5", "the run, or a folder for several")
 
 
-def damping(p: Parser) -> None:
+def damping(p: argparse._ActionsContainer) -> None:
     """Add the damping laws, every field of each."""
     p.add_argument("--damping", choices=LAWS, default="contact", help="viscous force law (default contact)")
     for law in LAWS.values():
@@ -465,9 +490,25 @@ def add(known: Verbs, verb: str, work: Work, text: str, epilog: str = "") -> Par
     text, epilog : str
         The help text, and its last line.
     """
-    parser = known.add_parser(verb, help=text, description=text, epilog=epilog.format(verb=verb))
+    examples = [f"  petscjam {line}" for line in EXAMPLES.get(verb, ())]
+    lines = [epilog.format(verb=verb), STATUS, *["Examples:"] * bool(examples), *examples]
+    parser: Parser = known.add_parser(verb, help=text, description=text, epilog="\n".join(filter(None, lines)))
     parser.set_defaults(work=work, known=parser._option_string_actions.keys())
+    parser.ended = False
     return parser
+
+
+def messages(p: Parser) -> None:
+    """Add the options that every verb has, the last group of its help."""
+    common = p.add_argument_group("settings, messages")
+    text = 'settings by the names of these options, as pressure = "1e-2:1e-4:9"; the command line counts more'
+    common.add_argument("--config", type=path, metavar="FILE.toml", help=text)
+    either = common.add_mutually_exclusive_group()
+    text = "say version, ranks and time, and where in the program an error was found"
+    either.add_argument("-v", "--verbose", action="store_true", help=text)
+    either.add_argument("-q", "--quiet", action="store_true", help="say only warnings and errors")
+    text = "append the command and all that it says to a file"
+    common.add_argument("--log", type=path, metavar="FILE", help=text)
 
 
 def output(p: Parser, metavar: str, text: str, *, required: bool = True, resume: bool = True) -> None:

@@ -133,11 +133,14 @@ def info(options: argparse.Namespace, comm: Comm) -> None:
 
     def text() -> str:
         from petscjam.io.kinds import recognise
-        from petscjam.plots.files import CONTENTS
+        from petscjam.plots.files import CONTENTS, as_json
 
         file, reading = options.file, (options.index, options.potential, options.diameters)
         kind = recognise(file)
         contents = CONTENTS[kind]
+        if options.json:
+            found = contents.read(file, *reading) if kind == "packing" else contents.read(file)
+            return as_json(file, kind, found)
         if kind == "packing":
             return f"{'file':18s} {file}\n{contents.describe(contents.read(file, *reading))}"
         said = contents.describe(contents.read(file))

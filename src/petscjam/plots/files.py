@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
+from petscjam.base.errors import InputError
+from petscjam.geometry.packing import Packing
 from petscjam.io.importers import import_packing
+from petscjam.io.kinds import kind_of
 from petscjam.io.results import read_results
 from petscjam.md.result import Run, read, read_folder
 from petscjam.plots import plot_packing, plot_results
@@ -26,6 +35,59 @@ class Contents(NamedTuple):
     read: Callable[..., Any]
     describe: Callable[[Any], str]
     draw: Callable[[Any, Path | None], Figure]
+
+
+def as_json(path: Path, kind: str, found: Any) -> str:
+    """Return the facts of a file or a folder as JSON; what is not a number or unknown is null.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        As :func:`recognise` returns it.
+    found : object
+        Content of the file.
+    """
+    said: dict[str, Any] = {"file": str(path), "kind": kind}
+    if isinstance(found, Packing):
+        said |= {**found.facts(), "checksum": found.checksum, "certificate": asdict(found.certificate)}
+        said["provenance"] = dict(found.provenance)
+    elif isinstance(found, Library):
+        said |= {"recipe": dict(found.recipe), "packings": found.rows, "failed": found.failed}
+    elif isinstance(found, Run):
+        said |= _of_run(found)
+    elif kind == "runs":
+        said["runs"] = {name: _of_run(run) for name, run in found.items()}
+    else:
+        said["results"] = {
+            name: {**r.facts(), "kind": kind_of(type(r)), "origin": asdict(r.origin), "notes": r.notes}
+            for name, r in found.items()
+        }
+    return json.dumps(_plain(said), ensure_ascii=False, indent=1, allow_nan=False)
+
+
+def _of_run(run: Run) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "settings": run.settings.attributes,
+        "last_strain": run.strain[-1],
+        "warnings": run.warnings,
+    }
+    with suppress(InputError):
+        said["means"] = {symbol: m._asdict() for symbol, m in run.means().items()}
+    return said
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` as JSON has it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float) else str(value)
 
 
 def _draw_library(library: Library, path: Path | None) -> Figure:
