@@ -91,7 +91,7 @@ def test_every_verb_takes_its_settings_from_a_file(verb, tmp_path):
         words += [name] + [value] * (value is not None)
     (tmp_path / "s.toml").write_text("\n".join(lines))
     needed = ["x"] * sum(not a.option_strings for a in parser._actions)
-    needed += ["-o", "y"] * ("-o" in parser._option_string_actions)
+    needed += [f"{a.option_strings[-1]}=1" for a in parser._actions if a.option_strings and a.required]
     given = build_parser().parse_args([verb, *needed, *words])
     read = build_parser().parse_args([verb, *needed, "--config", str(tmp_path / "s.toml")])
     assert str({**vars(read), "config": None}) == str(vars(given))

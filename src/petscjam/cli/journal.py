@@ -45,12 +45,13 @@ def kept(argv: list[str], options: argparse.Namespace, comm: Comm) -> Iterator[N
     start = time.monotonic()
     with ExitStack() as held:
         log = on_root(comm, lambda: options.log and _checked(options.log, [*inputs, output]))
-        if log and comm.rank == 0:
+        if log:
             with naming(log):
-                file = held.enter_context(open(log, "a", encoding="utf-8"))
+                file = held.enter_context(open(log, "a", encoding="utf-8", buffering=1))  # whole lines of all ranks
+            if comm.rank == 0:
+                file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {shlex.join(['petscjam', *argv])}\n")
             for redirect, stream in ((redirect_stdout, sys.stdout), (redirect_stderr, sys.stderr)):
                 held.enter_context(redirect(_Both(stream, file)))
-            file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {shlex.join(['petscjam', *argv])}\n")
         if options.quiet:
             held.enter_context(quiet())
             held.enter_context(redirect_stdout(StringIO()))
