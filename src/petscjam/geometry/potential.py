@@ -14,6 +14,7 @@ import numpy as np
 
 from petscjam.base.errors import InputError
 from petscjam.base.ranges import EXPONENT
+from petscjam.base.registry import Registry, loaded
 from petscjam.base.types import Array
 
 
@@ -165,15 +166,19 @@ class PowerLaw(Potential):
         return k * delta**alpha / alpha, k * delta ** (alpha - 1), k * (alpha - 1) * delta ** (alpha - 2)
 
 
-POTENTIALS: dict[str, Potential] = {
-    potential.name: potential
-    for potential in (
-        PowerLaw("harmonic", 2.0, False, "BT eq. 3 with k = 1"),
-        PowerLaw("harmonic-relative", 2.0, True, "VOT eq. 1 with α = 2, ke = 1"),
-        PowerLaw("hertzian", 2.5, False, "Hertz, with k = 1 at δ = d"),
-        PowerLaw("hertzian-relative", 2.5, True, "VOT eq. 1 with α = 5/2, ke = 1"),
-    )
-}
+POTENTIALS: Registry[Potential] = Registry(
+    {
+        potential.name: potential
+        for potential in (
+            PowerLaw("harmonic", 2.0, False, "BT eq. 3 with k = 1"),
+            PowerLaw("harmonic-relative", 2.0, True, "VOT eq. 1 with α = 2, ke = 1"),
+            PowerLaw("hertzian", 2.5, False, "Hertz, with k = 1 at δ = d"),
+            PowerLaw("hertzian-relative", 2.5, True, "VOT eq. 1 with α = 5/2, ke = 1"),
+        )
+    },
+    "petscjam.potentials",
+    loaded(Potential),
+)
 
 
 def power_law(exponent: float, relative: bool) -> Potential:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
 from os import PathLike
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import NamedTuple
 
 from petscjam.base.files import h5_format
+from petscjam.base.registry import Registry
 from petscjam.md.result import FORMAT as RUN
 from petscjam.md.result import is_run
 from petscjam.response.origin import Result
@@ -31,44 +33,52 @@ class Kind(NamedTuple):
     verb: str = ""
 
 
-# Files have the format "petscjam KIND".
-KINDS = {
-    "moduli": Kind("petscjam.response.result:ComplexModulus"),
-    "nonaffine": Kind(
-        "petscjam.analysis.nonaffine:QuasistaticResponse",
-        "quasi-static response per unit strain: relative displacements at contacts, non-affine displacements",
-    ),
-    "modes": Kind("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
-    "relaxations": Kind("petscjam.response.relaxations:RelaxationModes"),
-    "rebuilt": Kind("petscjam.analysis.mode_sum:ModeSum"),
-    "density": Kind(
-        "petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"
-    ),
-    "correlations": Kind(
-        "petscjam.analysis.correlations:Correlations",
-        "correlation length of non-affine displacements along x, at any frequency",
-    ),
-    "drag": Kind(
-        "petscjam.analysis.drag:NonlinearModulus",
-        "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping",
-        "nonlinear-drag",
-    ),
-    "oscillations": Kind(
-        "petscjam.analysis.oscillation:Oscillations",
-        "G*(omega) at finite amplitudes, by the disk engine, with harmonics and contact changes",
-        "oscillate",
-    ),
-    "steps": Kind(
-        "petscjam.analysis.step_strain:StepStrain",
-        "stress after a step of strain of any size, by the disk engine, with the linear G(t)",
-        "step-strain",
-    ),
-    "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
-    "aqs": Kind(
-        "petscjam.analysis.aqs:ShearPath",
-        "athermal quasi-static shear: stress, contacts, instabilities, every event located to 1e-10 in strain",
-    ),
-}
+def _summary(point: EntryPoint) -> str:
+    return f"analysis of the package {point.dist.name}: {point.dist.metadata['Summary']}" if point.dist else point.value
+
+
+# Files have the format "petscjam KIND". An entry point petscjam.analyses names the class of its results.
+KINDS = Registry(
+    {
+        "moduli": Kind("petscjam.response.result:ComplexModulus"),
+        "nonaffine": Kind(
+            "petscjam.analysis.nonaffine:QuasistaticResponse",
+            "quasi-static response per unit strain: relative displacements at contacts, non-affine displacements",
+        ),
+        "modes": Kind("petscjam.response.modes:Modes", "lowest modes of the stiffness, or slowest relaxations"),
+        "relaxations": Kind("petscjam.response.relaxations:RelaxationModes"),
+        "rebuilt": Kind("petscjam.analysis.mode_sum:ModeSum"),
+        "density": Kind(
+            "petscjam.analysis.density:DensityOfStates", "density of states D(omega) of all modes, unit masses"
+        ),
+        "correlations": Kind(
+            "petscjam.analysis.correlations:Correlations",
+            "correlation length of non-affine displacements along x, at any frequency",
+        ),
+        "drag": Kind(
+            "petscjam.analysis.drag:NonlinearModulus",
+            "G*(omega) under nonlinear drag |v|^(alpha-1) v, by equivalent damping",
+            "nonlinear-drag",
+        ),
+        "oscillations": Kind(
+            "petscjam.analysis.oscillation:Oscillations",
+            "G*(omega) at finite amplitudes, by the disk engine, with harmonics and contact changes",
+            "oscillate",
+        ),
+        "steps": Kind(
+            "petscjam.analysis.step_strain:StepStrain",
+            "stress after a step of strain of any size, by the disk engine, with the linear G(t)",
+            "step-strain",
+        ),
+        "viscosity": Kind("petscjam.analysis.viscosity:Viscosity", "viscosity eta0 and modulus G0 at omega -> 0"),
+        "aqs": Kind(
+            "petscjam.analysis.aqs:ShearPath",
+            "athermal quasi-static shear: stress, contacts, instabilities, every event located to 1e-10 in strain",
+        ),
+    },
+    "petscjam.analyses",
+    lambda point: Kind(point.value, _summary(point)),
+)
 PREFIX, SPECTRUM = "petscjam ", "petscjam spectrum"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ast import literal_eval
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import Field, asdict, fields
+from dataclasses import Field, fields
 from os import PathLike, path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +21,7 @@ from petscjam.response.inertial import InertialSpectrum
 from petscjam.response.origin import Judged, Origin, Result
 from petscjam.response.result import ComplexModulus
 from petscjam.response.spectrum import Spectrum
-from petscjam.rows.damping import LAWS, DampingLaw
+from petscjam.rows.damping import FOREIGN, LAWS, DampingLaw, StoredLaw, as_stored
 from petscjam.rows.kinematics import strain_mode
 
 if TYPE_CHECKING:
@@ -285,7 +285,10 @@ def _write(node: h5py.Group, name: str, value: object, unit: str | None = None) 
     elif isinstance(value, Spectrum):
         _write_fields(node.create_group(name), value)
     elif isinstance(value, DampingLaw):
-        node.create_group(name).attrs.update({"law": value.name, **asdict(value)})
+        stored = as_stored(value)
+        node.create_group(name).attrs.update(
+            {"law": value.name, **value.settings, **({FOREIGN: stored} if stored else {})}
+        )
     elif isinstance(value, tuple) and all(isinstance(line, str) for line in value):
         node.attrs[name] = "\n".join(value)
     elif value is not None:
@@ -374,7 +377,11 @@ def _law(said: Any) -> DampingLaw:
         settings = {key: literal_eval(value) for key, value in (pair.split("=") for pair in rest.split(", ") if pair)}
     else:
         settings = {key: _plain(value) for key, value in said.attrs.items()}
-        name = settings.pop("law")
+        name, foreign = settings.pop("law"), settings.pop(FOREIGN, "")
+        if name not in LAWS and foreign:
+            return StoredLaw.read(name, foreign)
+    if name not in LAWS:
+        raise InputError(f"the law {shown(name)} is unknown; known are {', '.join(LAWS)}")
     law = LAWS[name](**settings)
     for item in fields(law):
         check_type(f"damping: {item.name}", getattr(law, item.name), str(item.type))

@@ -7,14 +7,14 @@ this mass unless the model has another one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from math import inf, sqrt
 from typing import Any
 
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, shown
 from petscjam.geometry.potential import POTENTIALS, Potential, potential
-from petscjam.rows.damping import LAWS, ContactDamping, DampingLaw
+from petscjam.rows.damping import FOREIGN, LAWS, ContactDamping, DampingLaw, StoredLaw, as_stored
 
 MODELS: dict[str, DampingLaw] = {
     "CD": ContactDamping(beta=1.0, rotations=False),  # VOT eq. 3
@@ -106,7 +106,7 @@ class Model:
             if law not in MODELS and law not in LAWS:
                 raise InputError(f"shear: the model {law!r} is unknown; known are {', '.join([*MODELS, *LAWS])}")
             law = MODELS[law] if law in MODELS else LAWS[law]()
-        if not isinstance(law, tuple(LAWS.values())):
+        if not isinstance(law, (StoredLaw, *LAWS.values())):
             raise InputError(f"shear: {shown(law)} is neither the name of a model nor a damping law")
         return cls(law, Q, **others)
 
@@ -115,7 +115,9 @@ class Model:
         """Its numbers by name, as in the file of a run."""
         numbers = {"Q": self.Q, "potential": self.potential.name}
         numbers |= {name: getattr(self, item) for name, item in STORED.items()}
-        return {"model": self.name, "law": self.law.name, **asdict(self.law), **numbers}
+        stored = as_stored(self.law)
+        numbers |= {FOREIGN: stored} if stored else {}
+        return {"model": self.name, "law": self.law.name, **self.law.settings, **numbers}
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Model:
@@ -129,9 +131,12 @@ class Model:
         law = MODELS.get(settings["model"])
         if law is None:
             kind = LAWS.get(settings["law"])
-            if kind is None:
+            if kind is None and FOREIGN in settings:
+                law = StoredLaw.read(settings["law"], settings[FOREIGN])
+            elif kind is None:
                 raise InputError(f"settings: the law {settings['law']!r} is unknown; known are {', '.join(LAWS)}")
-            law = kind(**{item.name: settings[item.name] for item in fields(kind)})
+            else:
+                law = kind(**{item.name: settings[item.name] for item in fields(kind)})
         others = {item: settings[name] for name, item in STORED.items() if name in settings}
         return cls(law, settings["Q"], potential(settings["potential"]), **others)
 

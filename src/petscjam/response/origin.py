@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
-from dataclasses import Field, asdict, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -287,7 +287,7 @@ def _described(origin: Origin) -> dict[str, Any]:
     """Return packing and settings by the names of the columns, the law with its numbers."""
     found = {item.name: getattr(origin, item.name) for item in fields(origin) if item.name != "damping"}
     if origin.damping is not None:
-        found |= {"law": origin.damping.name, **asdict(origin.damping)}
+        found |= {"law": origin.damping.name, **origin.damping.settings}
     return found
 
 

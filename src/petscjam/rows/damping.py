@@ -1,22 +1,25 @@
 """Viscous force laws, each as data: friction coefficients, and the point where the tangential velocity is taken.
 
-A law is an entry of :data:`LAWS`, which the command line, the solver and the tests of laws use. Its fields are
-its options, with their ``help`` as help texts.
+A law is an entry of :data:`LAWS`, or an entry point ``petscjam.damping`` of another package; the command line, the
+solver and the tests of laws use them. Its fields are its options, with their ``help`` as help texts.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import wraps
+from importlib.metadata import EntryPoint
 from inspect import signature
-from typing import ClassVar, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, shown
+from petscjam.base.registry import Registry, loaded
 from petscjam.geometry.network import ContactNetwork
 from petscjam.rows.kinematics import Form, StrainMode, form
 
@@ -67,9 +70,13 @@ class DampingLaw:
         """Viscosity of the fluid."""
         return 0.0
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its fields by name."""
+        return asdict(self)
+
     def __str__(self) -> str:
-        settings = ", ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
-        return f"{self.name} ({settings})"
+        return f"{self.name} ({', '.join(f'{name}={value}' for name, value in self.settings.items())})"
 
 
 @dataclass(frozen=True)
@@ -120,7 +127,79 @@ class StokesDrag(DampingLaw):
         return self.eta_fluid
 
 
-LAWS: dict[str, type[DampingLaw]] = {law.name: law for law in (ContactDamping, StokesDrag)}
+@dataclass(frozen=True)
+class StoredLaw(DampingLaw):
+    """A law of another package as a file has it: its friction coefficients, without the package.
+
+    Parameters
+    ----------
+    law : str
+        Its name.
+    numbers : tuple of (str, value)
+        Its fields.
+    friction : tuple of (str, float or bool)
+        :data:`FRICTION`.
+    """
+
+    law: str
+    numbers: tuple[tuple[str, Any], ...]
+    friction: tuple[tuple[str, Any], ...]
+
+    def __post_init__(self) -> None:
+        for key, value in self.friction:
+            if key not in FRICTION or not (isinstance(value, bool) or value in ranges.FRICTION):
+                raise InputError(f"damping: {key} = {shown(value)} of the law {self.law!r}")
+            object.__setattr__(self, f"_{key}", value)
+
+    @classmethod
+    def read(cls, law: str, said: str) -> StoredLaw:
+        """Return the law of the text of :func:`as_stored`.
+
+        Parameters
+        ----------
+        law, said : str
+
+        Raises
+        ------
+        InputError
+            If it is another text.
+        """
+        try:
+            found = json.loads(said)
+            return cls(law, tuple(found["numbers"].items()), tuple((key, found[key]) for key in FRICTION))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise InputError(f"damping: {shown(said)} is not the friction of a law") from None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its fields."""
+        return dict(self.numbers)
+
+    def __getattribute__(self, key: str) -> Any:
+        if key == "name":
+            return self.law
+        return super().__getattribute__(f"_{key}" if key in FRICTION else key)
+
+
+def as_stored(law: DampingLaw) -> str:
+    """Return the friction of a law of another package for a file, as JSON; empty for a law of petscjam."""
+    if type(law).__module__.startswith("petscjam.") and not isinstance(law, StoredLaw):
+        return ""
+    return json.dumps({"numbers": law.settings, **{key: getattr(law, key) for key in FRICTION}})
+
+
+def _law_of(point: EntryPoint) -> type[DampingLaw]:
+    law = loaded(type)(point)
+    if not issubclass(law, DampingLaw) or law.name != point.name:
+        raise TypeError(f"it is not a DampingLaw with the name {point.name}")
+    return law
+
+
+FOREIGN = "friction"  # attribute of a law of another package in a file
+FRICTION = ("normal", "tangential", "at_contact_point", "body", "fluid")
+LAWS: Registry[type[DampingLaw]] = Registry(
+    {law.name: law for law in (ContactDamping, StokesDrag)}, "petscjam.damping", _law_of
+)
 
 
 def law_or_default(damping: DampingLaw | str | None) -> DampingLaw:
@@ -148,8 +227,9 @@ def with_law(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        for law in LAWS.values():
-            for name in {item.name for item in fields(law)} & (kwargs.keys() - own.keys()):
+        unknown = kwargs.keys() - own.keys()
+        for law in LAWS.values() if unknown else ():
+            for name in unknown & {item.name for item in fields(law)}:
                 where = "damping" if "damping" in own else "model"
                 raise InputError(f"{name} belongs to the law: write {where}={law.__name__}({name}={kwargs[name]!r})")
         return function(*args, **kwargs)
