@@ -1,6 +1,7 @@
 """A report is one page that needs nothing else: parsed here, with everything it shows decoded."""
 
 import shutil
+import signal
 import subprocess
 from base64 import b64decode
 from html.parser import HTMLParser
@@ -20,6 +21,8 @@ from petscjam.cli import main
 from petscjam.geometry.packing import Packing
 from petscjam.io.kinds import KINDS, class_of, recognise
 from petscjam.io.results import read_results
+from petscjam.md.result import read_folder
+from petscjam.plots.files import CONTENTS
 
 pytestmark = pytest.mark.parallel(nprocs=1)
 FORMATS = Path(__file__).parent / "fixtures" / "formats"
@@ -174,3 +177,15 @@ def test_a_browser_shows_the_page(tmp_path):
     picture = imread(tmp_path / "r.png")
     assert picture.shape[1] == 390
     assert np.std(picture) > 0.05
+
+
+def test_a_signal_stops_a_report(tmp_path, monkeypatch, capsys):
+    def interrupted(folder):
+        signal.raise_signal(signal.SIGINT)
+        return read_folder(folder)
+
+    monkeypatch.setitem(CONTENTS, "runs", CONTENTS["runs"]._replace(read=interrupted))
+    (tmp_path / "r.html").write_text("old")
+    assert main(["report", str(FORMATS), "-o", str(tmp_path / "r.html"), "--overwrite"]) == 130
+    assert capsys.readouterr().err == "petscjam: stopped by SIGINT; finished results are kept\n"
+    assert (tmp_path / "r.html").read_text() == "old"

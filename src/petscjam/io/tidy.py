@@ -11,6 +11,7 @@ import numpy as np
 
 from petscjam.base.errors import InputError
 from petscjam.base.files import check_output, naming, write_atomically
+from petscjam.base.interrupt import check
 from petscjam.base.tables import Table
 from petscjam.io.importers import import_packing
 from petscjam.io.kinds import recognise
@@ -99,6 +100,7 @@ def results_of(folder: str | PathLike[str]) -> list[Path]:
 def _of_files(files: Iterable[Path]) -> Table:
     tables, kinds = [], dict[str, Path]()
     for file in files:
+        check()
         with naming(file):
             results = read_results(file)
             tables.append(_labelled("file", file.name, of_results(results)))

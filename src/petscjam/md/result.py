@@ -26,6 +26,7 @@ from petscjam.base.files import (
     open_h5,
     write_atomically,
 )
+from petscjam.base.interrupt import check
 from petscjam.base.tables import Table, Tabular, optional
 from petscjam.base.types import Array
 from petscjam.md.observables import BLOCKS, ROWS, AbsentError, Block, Observed, Row
@@ -405,7 +406,11 @@ def read_folder(folder: str | PathLike[str]) -> dict[str, Run]:
     InputError
         If there is none.
     """
-    runs = {file.stem: read(file) for file in sorted(Path(folder).glob("*.h5")) if is_run(file)}
+    runs = {}
+    for file in sorted(Path(folder).glob("*.h5")):
+        check()
+        if is_run(file):
+            runs[file.stem] = read(file)
     if not runs:
         raise InputError(f"{folder}: there are no runs in this folder")
     return runs

@@ -15,6 +15,7 @@ from typing import Any
 
 from petscjam.base.errors import InputError, readable
 from petscjam.base.files import check_output, write_atomically
+from petscjam.base.interrupt import check
 from petscjam.base.tables import Table, html_table, in_short
 from petscjam.base.versions import release
 from petscjam.geometry.packing import Packing
@@ -105,6 +106,7 @@ def _folder(path: Path) -> tuple[list[Section], list[str]]:
     failed: list[str] = []
 
     def add(make: Callable[[Path], Iterable[Section]], given: Path) -> None:
+        check()
         try:
             sections.extend(make(given))
         except InputError as error:
