@@ -266,6 +266,29 @@ def test_what_is_no_array_of_numbers(packing, bad):
         assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: pj.complex_modulus("p.h5", [1.0]), "a Packing is needed"),
+        (lambda: pj.lowest_modes("p.h5"), "a Packing is needed"),
+        (lambda: pj.certify("p.h5"), "not 'p.h5'"),
+        (lambda: pj.Packing("abc", [1], pj.Box([[1, 0], [0, 1]])), "an array of numbers is needed, not 'abc'"),
+        (lambda: pj.Packing([[0, 0], [1]], [1, 1], pj.Box([[1, 0], [0, 1]])), "an array of numbers is needed"),
+        (lambda: pj.Box([[1, 0], [0]]), "an array of numbers is needed"),
+        (lambda: pj.prepare_library("none", [16], ["a"]), "pressures: needs a number"),
+        (lambda: pj.md.read(FORMATS / "ramp.h5").mean([1.0, 2.0]), "10 values are needed"),
+    ],
+)
+def test_what_is_no_packing_and_no_array(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+def test_a_library_of_one_size(tmp_path):
+    library = pj.prepare_library(tmp_path / "one", 16, 1e-2, 1)
+    assert [row["particles"] for row in library.rows] == [16]
+
+
 def test_one_error_is_one_traceback(tmp_path):
     (tmp_path / "p.h5").write_text("not HDF5")
     for call in (lambda: pj.Packing.read(tmp_path / "p.h5"), lambda: pj.Packing.read(tmp_path / "none.h5")):

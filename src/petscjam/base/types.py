@@ -38,10 +38,13 @@ def numbers(what: str, values: ArrayLike) -> Array:
             raise ValueError
         array = array.astype(float)
     except ValueError:
-        text = shown(values)
-        text = text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+        text = _cut(shown(values))
         raise InputError(f"{what}: needs a number, a list or an array of numbers, not {text}") from None
     return np.atleast_1d(array).ravel()
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
 
 
 def per_decade(points: int, low: float, high: float) -> Array:
@@ -68,7 +71,15 @@ def frozen(values: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     ----------
     values : array_like
     dtype : type
+
+    Raises
+    ------
+    InputError
+        If they are no numbers.
     """
-    array: NDArray[Any] = np.array(values, dtype=dtype)
+    try:
+        array: NDArray[Any] = np.array(values, dtype=dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"an array of numbers is needed, not {_cut(shown(values))}") from None
     array.flags.writeable = False
     return array

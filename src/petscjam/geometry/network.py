@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petscjam.base.errors import InputError
+from petscjam.base.errors import InputError, shown
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 
@@ -56,10 +56,12 @@ class ContactNetwork:
         Raises
         ------
         InputError
-            If two disks have the same position.
+            If two disks have the same position, or ``packing`` is none.
         """
         from petscjam.geometry.neighbours import pairs
 
+        if not isinstance(packing, Packing):
+            raise InputError(f"a Packing is needed, as Packing.read(file) returns it, not {shown(packing)}")
         radii = packing.radii
         i, j, r = pairs(packing.box, packing.positions, radii)
         sigma, distance = radii[i] + radii[j], np.hypot(r[:, 0], r[:, 1])

@@ -217,6 +217,9 @@ class Run(Tabular):
         if isinstance(values, str):
             known = values not in self.rows and hasattr(Run, values)
             values = getattr(self, values) if known else self.rows[values]
+        if np.shape(values) != self.strain.shape:
+            shape = np.shape(values)
+            raise InputError(f"mean: {len(self.strain)} values are needed, one for each row, not of shape {shape}")
         kept = np.asarray(values)[self.after(after)]
         if len(kept) < 2:
             raise InputError(f"mean: {len(kept)} of {len(self.strain)} rows are after a strain of {after}")

@@ -20,6 +20,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from petscjam.base.arguments import parsed, parsed_whole
 from petscjam.base.errors import InputError, SolverError, shown
 from petscjam.base.files import check_output, check_type, naming, open_h5, understanding, write_atomically
@@ -27,6 +29,7 @@ from petscjam.base.interrupt import Interrupted, deferred
 from petscjam.base.progress import Progress, Report, reporting
 from petscjam.base.ranges import MOST_RUNS
 from petscjam.base.tables import Table, Tabular
+from petscjam.base.types import numbers
 from petscjam.geometry.network import ContactNetwork
 from petscjam.geometry.packing import Packing
 from petscjam.geometry.packing_file import OURS
@@ -151,9 +154,9 @@ class _Series:
 @deferred()
 def prepare_library(
     folder: str | PathLike[str],
-    particles: Iterable[int] = (1024,),
-    pressures: Iterable[float] = (1e-3,),
-    seeds: Iterable[int] = (1,),
+    particles: int | Iterable[int] = (1024,),
+    pressures: ArrayLike = (1e-3,),
+    seeds: int | Iterable[int] = (1,),
     *,
     comm: Comm | None = None,
     resume: bool = False,
@@ -172,7 +175,7 @@ def prepare_library(
     ----------
     folder : path
         Made if it does not exist. Existing packings in it must have the same recipe.
-    particles, pressures, seeds : iterables
+    particles, pressures, seeds : numbers, or iterables of them
         As ``n``, ``pressure`` and ``seed`` of :func:`prepare_packing`; pressures have twelve digits.
     comm : communicator
     resume : bool
@@ -192,10 +195,10 @@ def prepare_library(
         On an argument out of range, if a packing exists, or is of another recipe, or cannot be written.
     """
     comm, folder = resolve(comm), Path(folder)
-    particles, pressures, seeds = list(particles), list(pressures), list(seeds)
-    agree(comm, folder, particles, pressures, seeds, resume, overwrite, budget, sorted(recipe.items()))
+    particles, seeds, goals = _listed(particles), _listed(seeds), numbers("pressures", pressures).tolist()
+    agree(comm, folder, particles, goals, seeds, resume, overwrite, budget, sorted(recipe.items()))
     settings = Recipe(**recipe)
-    series = _planned(particles, pressures, seeds, settings, budget)
+    series = _planned(particles, goals, seeds, settings, budget)
     with made_folder(folder, comm), claimed(folder, comm):
         missing = on_root(comm, _opened, folder, series, settings, resume, overwrite)
         _fill(folder, series, settings, missing, comm, threads, budget, progress)
@@ -290,11 +293,10 @@ def exists(file: Path, n: int, pressure: float, seed: int, recipe: Recipe, befor
 
 
 def _planned(
-    particles: Iterable[int], pressures: Iterable[float], seeds: Iterable[int], recipe: Recipe, budget: int
+    particles: Sequence[int], pressures: Iterable[float], seeds: Sequence[int], recipe: Recipe, budget: int
 ) -> list[_Series]:
     pressures = sorted((float(f"{float(p):.12g}") for p in pressures), reverse=True)
     groups = [tuple(pressures)] if recipe.decompress else [(pressure,) for pressure in pressures]
-    particles, seeds = list(particles), list(seeds)
     count = len(particles) * len(pressures) * len(seeds)
     if count > MOST_RUNS:
         raise InputError(f"prepare: {count} packings; at most {MOST_RUNS:.0g} at once")
@@ -311,6 +313,10 @@ def _planned(
     if not names:
         raise InputError("prepare: there is nothing to prepare without a size, a pressure and a seed")
     return series
+
+
+def _listed(values: int | Iterable[int]) -> list[int]:
+    return list(values) if isinstance(values, Iterable) else [values]
 
 
 def _opened(folder: Path, series: list[_Series], recipe: Recipe, resume: bool, overwrite: bool) -> set[str]:

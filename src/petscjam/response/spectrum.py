@@ -205,7 +205,7 @@ class Spectrum(Judged):
         """
         if self.motions is None:
             raise InputError("this model was stored without its motions; make it again with displacements=True")
-        return np.tensordot(self._motion(np.atleast_1d(float(omega)))[0], self.motions, axes=1)
+        return np.tensordot(self._motion(frequencies(omega))[0], self.motions, axes=1)
 
     # ---- in time
 
