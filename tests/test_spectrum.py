@@ -880,7 +880,7 @@ def test_bad_tolerances_are_refused(rtol):
         pj.spectrum(sixteen(), rtol=rtol)
 
 
-@pytest.mark.parametrize("damping", ["contact", 1.0, pj.ContactDamping], ids=str)
+@pytest.mark.parametrize("damping", ["drag", 1.0, pj.ContactDamping], ids=str)
 def test_what_is_not_a_law_is_refused(damping):
     with pytest.raises(pj.InputError, match="is not a law"):
         pj.spectrum(sixteen(), damping=damping)
