@@ -141,12 +141,17 @@ def test_a_folder_is_a_page_with_a_section_for_everything(tmp_path):
     for name in ("viscosity.h5", "modes.h5"):
         shutil.copy(FORMATS / name, folder)
     shutil.copy(FORMATS / "packing.h5", folder / "<i>&.h5")
+    log = ["--log", str(folder / "a.log")]
+    assert main(["info", str(folder / "viscosity.h5"), *log]) == 0
+    assert main(["info", str(folder / "none.h5"), *log]) == 2
     (folder / "damaged.h5").write_bytes((FORMATS / "modes.h5").read_bytes()[:3000])
     page = complete(reported(folder, tmp_path / "r.html"))
     assert "i" not in page.tags
-    assert len(page.links) == len(page.ids) == 5
+    assert len(page.links) == len(page.ids) == 6
     assert {"library", "flows", "viscosity.h5", "modes.h5", "<i>&.h5"} <= set(page.text)
     assert any("damaged.h5: damaged" in text for text in page.text)
+    command = f"petscjam info {folder}/{{}}.h5 --log {folder}/a.log"
+    assert "\n".join(map(command.format, ["viscosity", "none"])) in page.text
 
 
 def test_figures_of_papers_are_on_the_page(tmp_path):

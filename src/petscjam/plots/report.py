@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -27,6 +28,7 @@ from petscjam.plots.files import CONTENTS
 from petscjam.preparation.library import Library
 from petscjam.response.origin import Judged, Result
 
+COMMAND = re.compile(r"^\d{4}-\d\d-\d\dT\S+ (petscjam .*)$", re.MULTILINE)
 MOST_LINES = 200  # of a table on the page; the download has all
 MOST_BYTES = 2**25  # of a download
 STYLE = """
@@ -130,7 +132,16 @@ def _folder(path: Path) -> tuple[list[Section], list[str]]:
         for page in sorted(folder.glob("*.md")):
             if page.with_suffix(".png").exists():
                 add(_figure_of_a_paper, page)
+    commands = [line for log in sorted(path.rglob("*.log")) for line in _commands(log)]
+    if commands and sections:
+        said = escape("\n".join(commands))
+        sections.append(Section("Commands", (f"<p>As recorded by --log.</p><pre>{said}</pre>",)))
     return sections, list(dict.fromkeys(failed))
+
+
+def _commands(log: Path) -> list[str]:
+    """Return the commands in a file of ``--log``."""
+    return COMMAND.findall(log.read_text(encoding="utf-8", errors="replace"))
 
 
 def _file(path: Path) -> Iterator[Section]:
