@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tools/mpi-env.sh
-launch=${LAUNCH:-mpirun -n 2}
+launch=${LAUNCH-mpirun -n 2}
 folder=${FOLDER:-runs/dataset}
 kept=(--resume --log "$folder/commands.log")
 omega=${OMEGA:-1e-8:1e2:61} modes=${MODES:-20}
