@@ -181,6 +181,23 @@ def test_every_array_is_in_the_dataset(path):
         assert data.attrs["law"] == found.damping.name
 
 
+def test_a_spectrum_is_a_line_and_a_dataset(packing):
+    model = pj.spectrum(packing, (1e-2, 1.0), prestress=False)
+    data, (line,) = model.to_xarray(), model.to_dataframe().itertuples()
+    assert (line.G0, line.eta0, line.G_inf, line.eta_inf) == (model.G0, model.eta0, model.G_inf, model.eta_inf)
+    assert np.array_equal(data["K"], model.K)
+    assert tuple(data["span"].values) == model.span
+    assert "span: 0.01 … 1" in repr(model)
+
+
+def test_states_and_networks_are_lines_and_tables(packing):
+    network, state = pj.ContactNetwork.of(packing), pj.md.read(FORMATS / "ramp.h5").state
+    assert repr(network).startswith("ContactNetwork(disks: 16, contacts: ")
+    assert (network.to_dataframe().force == network.force).all()
+    assert repr(state).startswith("State(disks: 24, cell: ")
+    assert (state.to_dataframe()[["vx", "vy"]] == state.velocities).all(axis=None)
+
+
 def test_tables_below_each_other():
     table = Table.stacked([Table({"a": np.array([1, 2]), "b": ["x", "y"]}), Table({"a": [3], "c": [0.5]})])
     assert table.to_csv().decode().splitlines() == ["a,b,c", "1,x,", "2,y,", "3,,0.5"]

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petscjam.base.errors import InputError, shown
+from petscjam.base.tables import Table, Tabular
 from petscjam.base.types import Array, Integers
 from petscjam.geometry.packing import Packing
 
@@ -19,7 +21,7 @@ NO_MODULUS = 1e-12  # of the affine modulus: smaller moduli are zero (rounding e
 
 
 @dataclass(frozen=True, eq=False)
-class ContactNetwork:
+class ContactNetwork(Tabular):
     """Contacts c = (i, j), each with the vector r from i to (an image of) j.
 
     Attributes
@@ -45,6 +47,17 @@ class ContactNetwork:
     radii: Array
     area: float
     backbone: NDArray[np.bool_]
+
+    def facts(self) -> dict[str, Any]:
+        """Return the numbers of disks, contacts and rattlers, Z and the pressure, by name."""
+        sizes = {"disks": len(self.radii), "contacts": len(self), "rattlers": self.rattlers}
+        return {**sizes, "Z": self.Z, "pressure": self.pressure}
+
+    def flat(self) -> Table:
+        """Return a line for each contact: its disks, vector, force and stiffness."""
+        x, y = self.r.T
+        columns = {"i": self.i, "j": self.j, "rx": x, "ry": y, "force": self.force, "stiffness": self.stiffness}
+        return Table(columns, {"rx": "length", "ry": "length"})
 
     @classmethod
     def of(cls, packing: Packing) -> ContactNetwork:

@@ -9,11 +9,13 @@ Axes: i disk, x Cartesian.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from petscjam.base import ranges
 from petscjam.base.errors import InputError, shown
+from petscjam.base.tables import Table, Tabular
 from petscjam.base.types import Array, frozen
 from petscjam.geometry.box import Box
 from petscjam.geometry.packing import Packing
@@ -25,7 +27,7 @@ BYTES_PER_DISK = 1000  # of a simulation: disks, pairs, sums, and output
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(Tabular):
     """Positions and velocities of disks. Units: ds, m, τe.
 
     Parameters
@@ -65,6 +67,18 @@ class State:
     potential_name: str = "harmonic-relative"  # VOT eq. 1 with α = 2
     height: float = None  # type: ignore[assignment]
     angles: Array | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """Return size, cell, strain, rate and time, by name."""
+        cell = f"{self.length:.5g} × {self.height:.5g}"
+        return {"disks": len(self.radii), "cell": cell, "strain": self.strain, "rate": self.rate, "time": self.time}
+
+    def flat(self) -> Table:
+        """Return a line for each disk: position, velocity, spin and radius."""
+        (x, y), (vx, vy) = self.positions.T, self.velocities.T
+        columns = {"x": x, "y": y, "vx": vx, "vy": vy, "spin": self.spins, "radius": self.radii}
+        units = {"x": "ds", "y": "ds", "vx": "ds/tau_e", "vy": "ds/tau_e", "spin": "1/tau_e", "radius": "ds"}
+        return Table(columns, units)
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.radii))

@@ -77,7 +77,8 @@ def agree(comm: Comm, *arguments: object) -> None:
 
 def _told(argument: object) -> str:
     checksum = getattr(argument, "checksum", None)
-    return checksum or repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
+    of = getattr(getattr(argument, "origin", None), "checksum", "")  # of a result
+    return checksum or of + repr(argument.tolist() if isinstance(argument, np.ndarray) else argument)
 
 
 def on_root(comm: Comm, work: Callable[..., T], *arguments: Any, **options: Any) -> T:

@@ -204,7 +204,7 @@ class Result(Tabular):
             axes = item.metadata["axes"].split()
             dims = [names.get(axis, f"{item.name}_{k}") for k, axis in enumerate(axes)]
             dims = [f"{dim}_{k}" if dim in dims[:k] else dim for k, dim in enumerate(dims)]
-            found[item.name] = (dims, getattr(self, item.name), {"units": item.metadata["unit"]})
+            found[item.name] = (dims, np.asarray(getattr(self, item.name)), {"units": item.metadata["unit"]})
         attributes = {key: value for key, value in _described(self.origin).items() if value is not None}
         for item in fields(self):
             if isinstance(getattr(self, item.name), float | int | str):

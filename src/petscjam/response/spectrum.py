@@ -119,6 +119,12 @@ class Spectrum(Judged):
         omega = positive(omegas)
         return self._modulus(omega.ravel()).reshape(omega.shape)
 
+    def row(self) -> dict[str, float | str]:
+        """Return span, size and limits of the model."""
+        low, high = self.span
+        limits = {"G0": self.G0, "eta0": self.eta0, "G_inf": self.G_inf, "eta_inf": self.eta_inf}
+        return {"span": f"{low:.3g} … {high:.3g}", "motions": str(len(self.K)), **limits, "state": self.state}
+
     @property
     def fluid(self) -> float:
         """Viscosity of the fluid on the strain rate: it adds iωηF to G*, separately from K and B."""
