@@ -88,6 +88,9 @@ def package(tmp_path_factory):
 
     made = command("moduli", "p.h5", "--omega", "0.1,1", "--damping", "sliding", "--zeta", "2", "-o", "g.h5")
     assert made.returncode == 0, made.stderr
+    two = command("moduli", "p.h5", "--omega", "0.1,1", "--damping", "sliding", "--zeta", "1,2", "-o", "two.h5")
+    assert two.returncode == 0, two.stderr
+    assert made.returncode == 0, made.stderr
     return command, work, made
 
 
@@ -114,6 +117,8 @@ def test_a_result_of_such_a_law_is_read_without_it(package, capsys):
     assert pj.average([g, g]).count == 2
     assert main(["info", str(work / "g.h5")]) == 0
     assert "sliding (zeta=2.0)" in capsys.readouterr().out
+    assert main(["info", str(work / "two.h5")]) == 0
+    assert "zeta" in capsys.readouterr().out.splitlines()[2]  # a column
 
 
 def test_the_stored_law_is_the_same_law(package):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -91,7 +90,7 @@ def law_text(law: DampingLaw) -> str:
 
 
 def _of_law(law: DampingLaw) -> dict[str, Any]:
-    return {"law": law.name, **{item.name: getattr(law, item.name) for item in fields(law)}}
+    return {"law": law.name, **law.settings}
 
 
 def _told(some: Mapping[str, Any]) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -243,7 +242,7 @@ def table(results: Mapping[str, Result]) -> str:
             "N": f"{r.origin.particles}",
             "p": f"{r.origin.pressure:.3e}",
             "pre-stress": "with" if r.prestress else "without",
-            **{key: f"{getattr(r.damping, key, np.nan):g}" for key in differ},
+            **{key: f"{r.damping.settings.get(key, np.nan):g}" for key in differ},
             **{key: x if isinstance(x, str) else f"{x:.4g}" for key, x in r.row().items()},
         }
         for name, r in by_coefficients(results, differ).items()
@@ -263,7 +262,7 @@ def moduli_table(results: Mapping[str, Any]) -> str:
     """
     blocks: dict[tuple[Any, ...], dict[str, ComplexModulus]] = {}
     for name, g in results.items():
-        flags = tuple(value for value in vars(g.damping).values() if isinstance(value, bool))
+        flags = tuple(value for value in g.damping.settings.values() if isinstance(value, bool))
         kind = (g.strain, g.damping.name, flags, g.prestress, g.model is None, g.inertia)
         blocks.setdefault(kind, {})[name] = g
     return "\n\n".join(_block(some) for some in blocks.values())
@@ -272,8 +271,8 @@ def moduli_table(results: Mapping[str, Any]) -> str:
 def coefficients(results: Mapping[str, Result]) -> list[str]:
     """Return the names of the numbers in which the damping laws of ``results`` differ."""
     laws = {r.origin.damping for r in results.values() if r.origin.damping}
-    names = dict.fromkeys(item.name for law in laws for item in fields(law))
-    values = {name: [getattr(law, name, np.nan) for law in laws] for name in names}
+    names = dict.fromkeys(name for law in laws for name in law.settings)
+    values = {name: [law.settings.get(name, np.nan) for law in laws] for name in names}
     return [name for name, some in values.items() if len(set(some)) > 1 and not isinstance(some[0], bool)]
 
 
@@ -285,7 +284,7 @@ def by_coefficients(results: Mapping[str, R], names: Sequence[str]) -> dict[str,
     results : mapping of Result
     names : sequence of str
     """
-    order = sorted(results, key=lambda name: [getattr(results[name].damping, key, np.inf) for key in names])
+    order = sorted(results, key=lambda name: [results[name].damping.settings.get(key, np.inf) for key in names])
     return {name: results[name] for name in order}
 
 
@@ -294,9 +293,9 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
     results = by_coefficients(results, differ)
     first = next(iter(results.values()))
     width = max(len(name) for name in results)
-    same = [item.name for item in fields(first.damping) if item.name not in differ]
+    same = {name: value for name, value in first.damping.settings.items() if name not in differ}
     law = first.damping.name
-    law += f" ({', '.join(f'{name}={getattr(first.damping, name)}' for name in same)})" * bool(same)
+    law += f" ({', '.join(f'{name}={value}' for name, value in same.items())})" * bool(same)
     what, meaning = "residual", "residual of each solve"
     if first.model:
         proved = all(g.model and g.model.definite for g in results.values())
@@ -331,7 +330,7 @@ def _block(results: Mapping[str, ComplexModulus]) -> str:
 
 
 def _numbers(r: Result, names: Sequence[str]) -> str:
-    return "".join(f"{getattr(r.damping, name):9.4g} " for name in names)
+    return "".join(f"{r.damping.settings[name]:9.4g} " for name in names)
 
 
 def _value(x: float) -> str:
