@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -244,12 +245,13 @@ def test_compilation_is_said_and_is_no_part_of_the_time_left(monkeypatch, capsys
 
 @pytest.mark.slow
 def test_the_first_run_of_a_new_cache_compiles(tmp_path):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    command = [sys.executable, "-m", "petscjam", "shear", "--particles", "16", "--phi", "0.8", "--rate", "1e-2"]
-    for name, times in (("a", 1), ("b", 0)):
-        out = [*command, "--strain", "0.1", "-o", str(tmp_path / f"{name}.h5")]
-        done = subprocess.run(out, capture_output=True, text=True, check=True, env=environment)
-        assert done.stderr.count("compiling for this processor") == times
+    with TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        command = [sys.executable, "-m", "petscjam", "shear", "--particles", "16", "--phi", "0.8", "--rate", "1e-2"]
+        for name, times in (("a", 1), ("b", 0)):
+            out = [*command, "--strain", "0.1", "-o", str(tmp_path / f"{name}.h5")]
+            done = subprocess.run(out, capture_output=True, text=True, check=True, env=environment)
+            assert done.stderr.count("compiling for this processor") == times
 
 
 def test_no_option_of_every_verb_hides_one_of_a_verb():
