@@ -20,31 +20,37 @@ LOOPS = 6  # largest number of amplitudes with loops
 
 
 def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
-    """Draw G* against ω; against γ0 its ratio to the linear response, harmonics, contact changes and return; loops."""
+    """Draw G* against ω; against γ0 its ratio to the linear response, harmonics, contact changes and return; loops.
+
+    The quasi-static limit ω = 0 is a decade below the lowest other frequency.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(16.0, 9.0), layout="constrained")
     (moduli, ratio, slow), (higher, motion, fast) = figure.subplots(2, 3)
     gammas = Shades("amplitude", [float(a) for r in results.values() for a in r.amplitude])
     omegas = Shades("omega", [float(w) for r in results.values() for w in r.omega])
+    left = min((w for w in omegas.values if w > 0), default=1.0) / 10
 
     for r in results.values():
-        moduli.plot(r.omega, r.linear.real, "-", color=STORAGE, lw=1, label="$G'$, linear")
-        moduli.plot(r.omega, r.linear.imag, "--", color=LOSS, lw=1, label="$G''$, linear")
+        x = np.where(r.omega > 0, r.omega, left)
+        moduli.plot(x, r.linear.real, "-", color=STORAGE, lw=1, label="$G'$, linear")
+        moduli.plot(x, r.linear.imag, "--", color=LOSS, lw=1, label="$G''$, linear")
         for a, row in zip(r.amplitude.tolist(), r.values, strict=True):
             look = {"ms": 5, "ls": "", **gammas.look(a)}
-            moduli.plot(r.omega, row.real, **look)
-            moduli.plot(r.omega, row.imag, mfc="white", **look)
+            moduli.plot(x, row.real, **look)
+            moduli.plot(x, row.imag, mfc="white", **look)
         for w, omega in enumerate(r.omega.tolist()):
-            x, line = r.amplitude, {"lw": 0.8, "ms": 5, **omegas.look(omega)}
-            ratio.plot(x, (r.values[:, w] / r.linear[w]).real, **line)
+            gamma, line = r.amplitude, {"lw": 0.8, "ms": 5, **omegas.look(omega)}
+            ratio.plot(gamma, (r.values[:, w] / r.linear[w]).real, **line)
             for axes, pair in ((higher, np.abs(r.higher / r.values)), (motion, (r.contact_events, r.returns))):
                 full, open_ = (np.where(y[:, w] > 0, y[:, w], np.nan) for y in pair)
-                axes.plot(x, full, **line)
-                axes.plot(x, open_, ls="--", mfc="white", **line)
+                axes.plot(gamma, full, **line)
+                axes.plot(gamma, open_, ls="--", mfc="white", **line)
     frequency, amplitude = r"angular frequency $\omega\tau_1$", r"amplitude $\gamma_0$"
     moduli.set(xscale="log", yscale="log", xlabel=frequency, ylabel=r"$G',\;G''$  ($k$)")
-    moduli.set_title("filled: $G'$, open: $G''$")
+    quasistatic = r", leftmost: $\omega = 0$" if omegas.values[0] == 0 else ""
+    moduli.set_title(f"filled: $G'$, open: $G''${quasistatic}")
     for level in (1 - DEPARTS, 1 + DEPARTS):
         ratio.axhline(level, color="0.7", lw=0.8, ls="--")
     ratio.set(xscale="log", xlabel=amplitude, ylabel=r"Re [$G^*(\gamma_0)/G^*_{\rm linear}$]")
