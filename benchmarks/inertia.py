@@ -81,7 +81,7 @@ def measured(packing, law):
     K, B, M = matrices(scaled, law)
     heavy, none = (pj.complex_modulus(scaled, OMEGA, damping=law, mass=mass).values for mass in (1.0, None))
     for omega, with_inertia, without in zip(OMEGA, heavy, none, strict=True):
-        (coarse, first), (fine, second) = (swing(packing, law, omega, dt) for dt in (DT, DT / 2))
+        (coarse, first), (fine, second) = (swing(scaled, law, omega, dt) for dt in (DT, DT / 2))
         engine = fine + (fine - coarse) / 3
         twin = reference.modulus(K, B, omega, scaled.box.area, M)
         found.append(
