@@ -25,16 +25,17 @@ GAMMA = GAMMA * sixteen().box.area ** 0.5 / CELL[1, 1]
 # --- against others
 
 
-def test_published_series_of_sixteen_disks():
+@pytest.mark.parametrize("locate", [True, False])
+def test_published_series_of_sixteen_disks(locate):
     """Every state of jamBashBulk's series: each continues from the one before it."""
     packing, now, events = sixteen(), 0.0, 0
     for gamma, *state in zip(GAMMA[1:], STRESS[1:], CONTACTS[1:], PRESSURE[1:], Z[1:], strict=True):
-        path = pj.aqs(packing, gamma - now, gamma - now)
+        path = pj.aqs(packing, gamma - now, gamma - now, locate=locate)
         packing, now, events = path.geometry, gamma, events + len(path.events)
         np.testing.assert_allclose([path.stress[-1], path.pressure[-1]], [state[0], state[2]], rtol=0, atol=1e-14)
         assert (path.contacts[-1], path.Z[-1]) == (state[1], state[3])
         assert path.proved.all()
-    assert events == 3
+    assert events == (3 if locate else 0)
 
 
 def test_published_changes_of_contacts():
@@ -113,6 +114,9 @@ def test_states_are_kept_at_every_step_and_beside_every_event():
     path = pj.aqs(sixteen(), -1e-3, 3e-4)
     beside = np.concatenate([path.events, path.events + 1])
     np.testing.assert_allclose(np.delete(path.gamma, beside), [0, -3e-4, -6e-4, -9e-4, -1e-3], rtol=1e-14)
+    only = pj.aqs(sixteen(), -1e-3, 3e-4, locate=False)
+    np.testing.assert_allclose(only.gamma, [0, -3e-4, -6e-4, -9e-4, -1e-3], rtol=1e-14)
+    np.testing.assert_allclose(only.stress, np.delete(path.stress, beside), atol=1e-14)
 
 
 def test_half_the_step_gives_the_same_events():
@@ -214,6 +218,7 @@ def test_unproved_packing_is_sheared_with_a_note():
         ({"step": 0.0}, "step must be"),
         ({"step": np.nan}, "nan"),
         ({"events": 0}, "events must be"),
+        ({"events": 3, "locate": False}, "without located events"),
         ({"strain": 1.0, "step": 1e-7}, "more than 1e6 states"),
         ({"prestress": False}, "pre-stress"),
     ],

@@ -336,6 +336,7 @@ def aqs(
     step: float | None = None,
     events: int | None = None,
     *,
+    locate: bool = True,
     prestress: bool = True,
     comm: Comm | None = None,
     name: str = "packing",
@@ -355,6 +356,8 @@ def aqs(
         Strain between states that are kept without an event. Default: a fiftieth of ``strain``.
     events : int, optional
         Number of events after which the path ends. Default: no limit.
+    locate : bool
+        False: only states at multiples of the step, each from the one before, without events; many times faster.
     prestress : bool
         Must be True: a minimum of the energy has no other tangent response.
     comm, name, progress
@@ -368,13 +371,15 @@ def aqs(
         If the forces of the packing cannot be balanced.
     """
     comm = resolve(comm)
-    agree(comm, packing, strain, step, events, prestress)
+    agree(comm, packing, strain, step, events, locate, prestress)
     for what, value in (("strain", strain), ("step", step)):
         size = abs(value) if isinstance(value, Real) else value
         if value is not None and size not in ranges.QUASISTATIC:
             raise InputError(f"aqs: the size of the {what} must be {ranges.QUASISTATIC}, not {shown(value)}")
     if events is not None:
         ranges.EVENTS.check("aqs: the number of events", events)
+        if not locate:
+            raise InputError("aqs: a path without located events has no number of events after which it ends")
     if not prestress:
         raise InputError("aqs: a path of minima of the energy needs pre-stress")
     length = abs(strain)
@@ -393,7 +398,7 @@ def aqs(
         if not problem.balanced:
             start = relax_packing(start)
             notes.append("the path starts from the relaxed packing")
-        return _followed(start, float(np.sign(strain)), goals, events, notes, progress)
+        return _followed(start, float(np.sign(strain)), goals, events, locate, notes, progress)
 
     made = on_root(comm, work)
     return ShearPath(origin, **made)
@@ -455,7 +460,7 @@ class _Row(NamedTuple):
 
 
 def _followed(
-    start: Packing, sign: float, goals: Array, most: int | None, notes: list[str], progress: Report | None
+    start: Packing, sign: float, goals: Array, most: int | None, locate: bool, notes: list[str], progress: Report | None
 ) -> dict[str, Any]:
     """Follow the path on one rank; return the fields of the result."""
     path, first = _Path(start), certify(start)
@@ -464,8 +469,9 @@ def _followed(
     events: list[int] = []
     reversible: list[bool] = []
     altered: list[tuple[int, int, int, int]] = []
+    states = path.follow(last, goals) if locate else ((state, None) for state in states_at(first, sign * goals))
     try:
-        for state, restored in path.follow(last, goals):
+        for state, restored in states:
             packing = certify(state.packing)
             row = _Row.of(state, packing.certificate)
             if restored is not None:
@@ -476,7 +482,7 @@ def _followed(
             rows.append(row)
             last = replace(state, packing=packing)
             if progress:
-                share = len(events) / most if most else state.way / goals[-1]
+                share = len(events) / most if most else abs(state.way) / goals[-1]
                 progress(share, f"strain {state.strain:.4g}, {len(events)} events")
             if most and len(events) == most:
                 break
@@ -504,6 +510,8 @@ def _options(parser: Any) -> None:
     parser.add_argument("--step", type=Within(number, ranges.QUASISTATIC), metavar="X", help=text)
     text = "number of events after which the path ends (default: no limit)"
     parser.add_argument("--events", type=Within(integer, ranges.EVENTS), metavar="K", help=text)
+    text = "states at multiples of the step alone: no event is located (many times faster)"
+    parser.add_argument("--no-location", dest="locate", action="store_false", help=text)
 
 
 VERB = Verb(aqs, "states and events of the path of each packing", _options, stressed=True)

@@ -24,7 +24,8 @@ def draw(data: FigureData) -> None:
     paths: dict[str, ShearPath] = {}
     for pressure in p.points("pressure").tolist():
         files = data.packings(p["particles"], [pressure])
-        analysis = PackingAnalysis(aqs, {"strain": p["span"] * pressure})
+        strain = p["span"] * pressure
+        analysis = PackingAnalysis(aqs, {"strain": strain, "step": strain / 100, "locate": False})
         found = data.results(files, analysis, tag=f"p{pressure:.3g}")
         paths |= data.stable(found, "secant modulus")
     on_root(data.comm, _draw, data.page, paths, p.points("parts").tolist(), data.picture)
