@@ -489,7 +489,7 @@ def test_the_figure_flags_an_unstable_packing():
 
     from matplotlib.figure import Figure
 
-    from petscjam.plots import _draw_moduli
+    from petscjam.plots.modulus import _draw_moduli
 
     g = pj.complex_modulus(pj.import_packing(SIXTEEN), [0.1, 1.0])
     flags = {}

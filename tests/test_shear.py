@@ -815,10 +815,7 @@ def test_a_budget_that_misses_a_percent_is_told_everywhere(tmp_path, capsys, mon
         assert f"WARNING: {told}" in capsys.readouterr().out
     with h5py.File(file) as h5:
         assert list(h5.attrs["warnings"]) == [told]
-    shown = []
-    monkeypatch.setattr("petscjam.plots.shear.save", lambda figure, path: shown.append(figure))
-    plot_run(pj.md.read(file), None)
-    plot_flow({"run": pj.md.read(file)}, None)
+    shown = [plot_run(pj.md.read(file)), plot_flow({"run": pj.md.read(file)})]
     assert [figure.get_supxlabel() for figure in shown] == [f"warning: {told}", f"warning: run: {told}"]
     monkeypatch.setattr(Simulation, "demand", lambda self: 1)
     with pytest.warns(DoubtfulWarning, match=r"misses .* % of the heat"):
