@@ -33,12 +33,13 @@ def test_small_amplitudes_have_the_linear_modulus_with_inertia(packing, law):
     assert np.abs(r.higher).max() < 1e-3 * np.abs(r.values).max()
 
 
-def test_moduli_of_a_lattice_fall_as_its_bonds_turn():
+def test_moduli_of_a_lattice_fall_as_its_bonds_turn(monkeypatch):
     """Bonds at 0° and 60° of a triangular lattice that moves affinely: σ(γ) in closed form, at any amplitude.
 
     The first harmonic is its Fourier integral; at this compression no contact is lost. At ω = 0 it has no loss.
     """
-    lattice, gamma = triangular_lattice(6), 5e-3
+    monkeypatch.setattr("petscjam.analysis.oscillation.STATES", 32)
+    lattice, gamma = triangular_lattice(4), 5e-3
     r = oscillate(lattice, [gamma], [0, 1e-3], cycles=3, damping=ContactDamping(beta=0.0, rotations=False))
     phase = (np.arange(400) + 0.5) / 400 * 2 * np.pi
     strain, size, area = gamma * np.sin(phase), 0.99, 0.99**2 * 0.75**0.5

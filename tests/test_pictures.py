@@ -108,7 +108,7 @@ def pictures():
 
 
 ALIKE = ["hertzian", "exported", ".frames", "stokes", "spectrum", "relaxations", "drag", "older", "ramp.h5"]
-ALIKE += ["banded", "flow curves", "moduli", "sizes"]
+ALIKE += ["banded", "flow curves", "moduli", "sizes", "many rates"]
 every = pytest.mark.parametrize(  # those like another one are for the slow tests
     "name",
     [

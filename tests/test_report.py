@@ -103,7 +103,12 @@ def test_no_kind_is_forgotten():
     assert kinds == {class_of(kind) for kind in KINDS} - {ModeSum, DensityOfStates}  # in figures/
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+SLOW = ("flows", "nonaffine.h5", "drag.h5", "ramp.h5", "relaxations.h5", "aqs.h5", "library")
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, marks=pytest.mark.slow if path.name in SLOW else (), id=path.name) for path in FILES]
+)
 def test_every_kind_has_a_page(path, tmp_path):
     page = complete(reported(path, tmp_path / "r.html"))
     assert len(page.pictures) == (path.name != "unjudged.h5" or 1)
