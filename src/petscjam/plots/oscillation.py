@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petscjam.analysis.oscillation import DEPARTS, Oscillations
 from petscjam.base.types import Array
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+ROUNDING = 1e-8  # of G″, relative to |G*|
 LOOPS = 6  # largest number of amplitudes with loops
 
 
@@ -35,11 +37,11 @@ def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
     for r in results.values():
         x = np.where(r.omega > 0, r.omega, left)
         moduli.plot(x, r.linear.real, "-", color=STORAGE, lw=1, label="$G'$, linear")
-        moduli.plot(x, r.linear.imag, "--", color=LOSS, lw=1, label="$G''$, linear")
+        moduli.plot(x, _loss(r.linear), "--", color=LOSS, lw=1, label="$G''$, linear")
         for a, row in zip(r.amplitude.tolist(), r.values, strict=True):
             look = {"ms": 5, "ls": "", **gammas.look(a)}
             moduli.plot(x, row.real, **look)
-            moduli.plot(x, row.imag, mfc="white", **look)
+            moduli.plot(x, _loss(row), mfc="white", **look)
         for w, omega in enumerate(r.omega.tolist()):
             gamma, line = r.amplitude, {"lw": 0.8, "ms": 5, **omegas.look(omega)}
             ratio.plot(gamma, (r.values[:, w] / r.linear[w]).real, **line)
@@ -66,6 +68,11 @@ def oscillation_figure(results: Mapping[str, Oscillations]) -> Figure:
     masses = ", ".join(dict.fromkeys(f"{r.mass:g}" for r in results.values()))
     figure.suptitle(rf"{heading(results)}, mass {masses} $k\tau_1^2$")
     return figure
+
+
+def _loss(moduli: NDArray[np.complex128]) -> Array:
+    """Return G″; NaN where it is a rounding error."""
+    return np.where(moduli.imag > ROUNDING * abs(moduli), moduli.imag, np.nan)
 
 
 def loop(r: Oscillations, a: int, w: int) -> tuple[Array, Array]:
