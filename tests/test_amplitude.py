@@ -56,6 +56,17 @@ def test_moduli_of_a_lattice_fall_as_its_bonds_turn(monkeypatch):
     assert [r.heat[0, 0], r.contact_events[0, 0], r.returns[0, 0]] == pytest.approx([0, 0, 0], abs=1e-9)
 
 
+def test_a_packing_that_unjams_quasistatically_keeps_the_other_numbers(packing, monkeypatch, tmp_path):
+    """NaN and a note there."""
+    monkeypatch.setattr("petscjam.analysis.oscillation.STATES", 8)
+    loose = jammed(1e-4, 64, 1, shear_stabilised=True)
+    r = oscillate(loose, [1e-7, 1e-3], [0, 1.0], cycles=3, damping=CENTRES)
+    assert np.isfinite(r.values[:, 1]).all() and np.isfinite(r.values[0, 0])
+    assert np.isnan([r.values[1, 0], r.heat[1, 0], r.returns[1, 0]]).all()
+    assert any(note.startswith("amplitude 0.001, omega 0: the packing unjams") for note in r.notes)
+    assert np.isnan(r.onset[0])
+
+
 @pytest.mark.slow
 def test_the_engine_tends_to_the_quasistatic_limit(packing):
     """At a large amplitude, without viscosity; at a larger one instabilities dissipate energy, the area of the loop."""

@@ -58,7 +58,8 @@ class Oscillations(Result):
     cycles : int
         Of each oscillation; a quarter of them, the transient, and the last are left out of the means.
     values : (A, W) complex
-        G′ + iG″, the first harmonic of the stress over γ0.
+        G′ + iG″, the first harmonic of the stress over γ0. NaN at ω = 0, as the rest, if the packing unjams: a note
+        says where.
     scatter : (A, W) complex
         Standard errors of G′ and G″ over the cycles.
     higher : (2, A, W) complex
@@ -82,7 +83,7 @@ class Oscillations(Result):
     values: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
     scatter: NDArray[np.complex128] = field(metadata=stored("stress", "A W"))
     higher: NDArray[np.complex128] = field(metadata=stored("stress", "2 A W", parts=("third", "fifth")))
-    linear: NDArray[np.complex128] = field(metadata=stored("stress", "W", finite=True))
+    linear: NDArray[np.complex128] = field(metadata=stored("stress", "W"))
     heat: Array = field(metadata=stored("stress", "A W"))
     contact_events: Array = field(metadata=stored("1", "A W"))
     returns: Array = field(metadata=stored("1", "A W"))
@@ -105,7 +106,7 @@ class Oscillations(Result):
         found = np.full(len(self.omega), np.nan)
         x, y = np.log(self.amplitude), np.log(np.maximum(self.departure, 1e-300) / DEPARTS)
         for w, column in enumerate(y.T):
-            within = np.flatnonzero(column <= 0)[-1]
+            within = np.flatnonzero(column <= 0).max(initial=0)
             if 0 < within < len(x) - 1:
                 a, b = column[within : within + 2]
                 found[w] = np.exp(x[within] - a / (b - a) * (x[within + 1] - x[within]))
@@ -199,7 +200,7 @@ def oscillate(
     Raises
     ------
     InputError
-        On a number that is out of range, or without pre-stress; or if the packing unjams at ω = 0.
+        On a number that is out of range, or without pre-stress.
     SolverError
         If velocities diverge, or a solve of the linear response fails.
     """
@@ -317,7 +318,11 @@ def _measured(
     moving = [task for task in tasks if task.omega]
     for task in tasks:
         if not task.omega:
-            found[task] = _quasistatic(packing, task.amplitude, cycles, partial(report, task, 0.0, 1.0))
+            try:
+                found[task] = _quasistatic(packing, task.amplitude, cycles, partial(report, task, 0.0, 1.0))
+            except (InputError, SolverError) as error:
+                found[task] = Measure(*[np.nan] * len(Measure._fields))
+                doubts[task] = f"amplitude {task.amplitude:.3g}, omega 0: {error}"
     abreast = getattr(engine_of(engine), "abreast", None)
     if abreast is None:
         for task in moving:
