@@ -321,7 +321,7 @@ def _measured(
             try:
                 found[task] = _quasistatic(packing, task.amplitude, cycles, partial(report, task, 0.0, 1.0))
             except (InputError, SolverError) as error:
-                found[task] = Measure(*[np.nan] * len(Measure._fields))
+                found[task] = Measure(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
                 doubts[task] = f"amplitude {task.amplitude:.3g}, omega 0: {error}"
     abreast = getattr(engine_of(engine), "abreast", None)
     if abreast is None:
