@@ -320,9 +320,9 @@ def _measured(
         if not task.omega:
             try:
                 found[task] = _quasistatic(packing, task.amplitude, cycles, partial(report, task, 0.0, 1.0))
-            except (InputError, SolverError) as error:
+            except (InputError, SolverError) as cause:
                 found[task] = Measure(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
-                doubts[task] = f"amplitude {task.amplitude:.3g}, omega 0: {error}"
+                doubts[task] = f"amplitude {task.amplitude:.3g}, omega 0: {cause}"
     abreast = getattr(engine_of(engine), "abreast", None)
     if abreast is None:
         for task in moving:
